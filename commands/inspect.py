@@ -1,0 +1,62 @@
+"""`hrt inspect`: what is in a raster, and will it work."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import click
+
+from hrt_cli import options as opt
+from hrt_cli.progress import Console
+
+
+@click.command(
+    epilog="""\b
+Example:
+  hrt synth site --scene meadow --size 40
+  hrt inspect site/ortho.tif
+"""
+)
+@click.argument("raster", type=opt.PATH)
+@opt.bands_opt
+@opt.nodata_opt
+@opt.unreferenced_opt
+@opt.console_options
+def inspect(raster: Path, bands: tuple[int, ...], nodata: float | None, unreferenced: bool, console: Console) -> None:
+    """Tell what is in a raster, whether `segment` will take it, and roughly what that will cost.
+
+    Exits with 0 also where `segment` would refuse the raster: the refusal is then part of the answer.
+    """
+    from hrt_cli.raster.inspect import inspect_raster
+
+    found = inspect_raster(raster, bands=bands, nodata=nodata, unreferenced=unreferenced)
+    console.result(
+        "\n".join(_lines(found.facts, found.notes, found.refusal)),
+        {**found.facts, "notes": found.notes, "usable": found.refusal is None, "refusal": found.refusal},
+        only_here=True,
+    )
+
+
+def _lines(facts: dict[str, Any], notes: list[str], refusal: str | None) -> list[str]:
+    colours = ", ".join(f"{d} {c}" for d, c in zip(facts["dtypes"], facts["band_colours"], strict=True))
+    lines = [
+        f"{facts['file']}: {facts['driver']}, {facts['cols']} x {facts['rows']} pixels ({facts['megapixels']:.1f} Mpx)",
+        f"  bands      {facts['bands']}: {colours}; compression {facts['compression']}",
+        f"  nodata     {facts['nodata'][0]}; alpha band {facts.get('alpha_band')}; mask {facts['mask']}",
+    ]
+    if "pixel_m" in facts:
+        row_m, col_m = facts["pixel_m"]
+        unit = "m on the ground" if facts["crs"] else "px (unreferenced)"
+        lines += [
+            f"  CRS        {facts['crs']}",
+            f"  pixel      {col_m:.4g} x {row_m:.4g} {unit}; extent {facts['extent_m'][1]:.1f} x {facts['extent_m'][0]:.1f}",
+            f"  valid      about {facts['valid_share']:.0%}",
+        ]
+    lines += [f"  note       {note}" for note in notes]
+    if refusal is None:
+        cost = f"about {facts['segment_seconds']:.0f} s and {facts['segment_memory_mb']} MB"
+        lines.append(f"  segment    would take it: {cost} on one core")
+    else:
+        lines.append(f"  segment    would refuse it: {refusal}")
+    return lines

@@ -1,0 +1,124 @@
+"""`hrt plan`: the path that collects the most score within a budget."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Literal, cast
+
+import click
+
+from hrt_cli import options as opt
+from hrt_cli.artifacts.stage import Existing
+from hrt_cli.progress import Console
+
+METHODS = ("refined", "policy", "policy-sample", "greedy", "rectangle", "lawnmower", "spiral", "random")
+
+
+@click.command(
+    epilog="""\b
+Example:
+  hrt synth site --scene meadow --size 40
+  hrt segment site/ortho.tif -o site/classes.tif --classes 5
+  hrt scoremap site/classes.tif -o site/scoremap.tif
+  hrt plan site/scoremap.tif -o site/plan.json --start auto --budget 200
+"""
+)
+@click.argument("scoremap", type=opt.PATH)
+@opt.output_opt
+@click.option("--start", required=True, help="cell:ROW,COL, lonlat:LON,LAT, xy:X,Y (the map's CRS), or auto.")
+@click.option("--budget", required=True, help="Steps (250), metres (400m) or minutes (15min, with --speed).")
+@click.option("--method", type=click.Choice(METHODS), default="refined", show_default=True)
+@click.option("--objective", type=click.Choice(["total", "discounted"]), default="total", show_default=True)
+@click.option(
+    "--gamma", type=opt.FiniteFloat(0, 1, low_open=True), default=0.99, show_default=True, help="Discount per step."
+)
+@click.option("--connectivity", type=click.Choice(["4", "8"]), default="4", show_default=True, help="Neighbours.")
+@click.option("--return-home", is_flag=True, help="End where the path starts.")
+@click.option(
+    "--speed",
+    "speed_m_s",
+    type=opt.FiniteFloat(0.01, 50),
+    default=1.0,
+    show_default=True,
+    help="The robot's speed in m/s.",
+)
+@click.option("--policy", "policy_path", type=opt.PATH, help="Policy (.npz). Default: the one that ships with hrt.")
+@click.option(
+    "--effort", type=opt.FiniteFloat(0.01, 1000), default=1.0, show_default=True, help="Compute spent on refinement."
+)
+@click.option(
+    "--samples", type=click.IntRange(1, 100_000), default=256, show_default=True, help="Rollouts of policy-sample."
+)
+@opt.seed_opt
+@opt.figure_opt
+@opt.backdrop_opt
+@opt.existing_options
+@opt.console_options
+def plan(
+    scoremap: Path,
+    output: Path,
+    start: str,
+    budget: str,
+    method: str,
+    objective: str,
+    gamma: float,
+    connectivity: str,
+    return_home: bool,
+    speed_m_s: float,
+    policy_path: Path | None,
+    effort: float,
+    samples: int,
+    seed: int,
+    figure: Path | None,
+    backdrop: Path | None,
+    existing: Existing,
+    console: Console,
+) -> None:
+    """Plan the path that collects the most score within a budget.
+
+    SCOREMAP is the output of `hrt scoremap` (or an .npz with score, and optionally sd, cell_size_m, no_go). The plan
+    says how far it is from the best possible: its gap to a proven upper bound.
+    """
+    from hrt_cli.planning.request import parse_budget, parse_start
+    from hrt_cli.planning.stage import PlanRequest, plan_file
+
+    request = PlanRequest(
+        start=parse_start(start),
+        budget=parse_budget(budget),
+        method=method,
+        objective=cast(Literal["total", "discounted"], objective),
+        gamma=gamma,
+        connectivity=8 if connectivity == "8" else 4,
+        return_home=return_home,
+        speed_m_s=speed_m_s,
+        effort=effort,
+        samples=samples,
+        seed=seed,
+    )
+    with console.bar("plan") as progress:
+        done = plan_file(scoremap, output, request, policy_path=policy_path, existing=existing, progress=progress)
+    if figure is not None:
+        from hrt_cli.report.overlay import draw_plan
+
+        draw_plan(output, scoremap, figure, backdrop=backdrop, existing=existing)
+    found = done.document
+    state = "up to date" if done.up_to_date else f"{done.seconds:.1f} s"
+    console.result(
+        f"{output}: {found.method}, score {found.score:.2f} of at most {found.upper_bound:.2f} (gap {found.gap:.1%}), "
+        f"{found.steps} steps, {found.length_m:.0f} m, {len(found.waypoints)} waypoints ({state})",
+        {
+            "output": str(output),
+            "up_to_date": done.up_to_date,
+            "method": found.method,
+            "score": found.score,
+            "discounted_score": found.discounted_score,
+            "upper_bound": found.upper_bound,
+            "gap": found.gap,
+            "steps": found.steps,
+            "length_m": found.length_m,
+            "time_s": found.time_s,
+            "start": list(found.start),
+            "waypoints": len(found.waypoints),
+            "seconds": done.seconds,
+        },
+    )

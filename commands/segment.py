@@ -1,0 +1,141 @@
+"""`hrt segment`: an orthomosaic becomes texture classes."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from hrt_cli import options as opt
+from hrt_cli.artifacts.stage import Existing
+from hrt_cli.progress import Console
+
+if TYPE_CHECKING:
+    from hrt_cli.texture.stage import Segmentation
+
+
+@click.command(
+    epilog="""\b
+Example:
+  hrt synth site --scene meadow --size 40
+  hrt segment site/ortho.tif -o site/classes.tif --classes 5 --figure site/classes.png
+"""
+)
+@click.argument("ortho", type=opt.PATH)
+@opt.output_opt
+@click.option("-K", "--classes", type=click.IntRange(2, 255), help="Number of texture classes, 2 to 255.")
+@click.option("--model", "model_path", type=opt.PATH, help="Apply this texture model instead of fitting one.")
+@click.option("--model-out", type=opt.PATH, help="Keep the fitted texture model here (.npz).")
+@click.option(
+    "--features",
+    type=click.Choice(["site", "paper", "texture"]),
+    default="site",
+    show_default=True,
+    help="site: colour, lightness and texture. paper: Gabor order statistics and hue. texture: Gabor alone.",
+)
+@click.option(
+    "--rotation",
+    type=click.Choice(["invariant", "aware", "sorted"]),
+    default="invariant",
+    show_default=True,
+    help="Whether a texture turned is the same texture.",
+)
+@click.option("--wavelengths", callback=lambda ctx, param, value: _lengths(value), help="Gabor wavelengths in metres.")
+@opt.bands_opt
+@opt.nodata_opt
+@opt.unreferenced_opt
+@opt.seed_opt
+@opt.workers_opt
+@click.option("--block", type=click.IntRange(64, 4096), default=512, show_default=True, help="Block side in pixels.")
+@opt.creation_opt
+@opt.figure_opt
+@opt.existing_options
+@opt.console_options
+def segment(
+    ortho: Path,
+    output: Path,
+    classes: int | None,
+    model_path: Path | None,
+    model_out: Path | None,
+    features: str,
+    rotation: str,
+    wavelengths: tuple[float, ...] | None,
+    bands: tuple[int, ...],
+    nodata: float | None,
+    unreferenced: bool,
+    seed: int,
+    workers: int,
+    block: int,
+    creation: tuple[tuple[str, str], ...],
+    figure: Path | None,
+    existing: Existing,
+    console: Console,
+) -> None:
+    """Segment an orthomosaic into texture classes.
+
+    ORTHO is a georeferenced RGB GeoTIFF or VRT (alpha, mask or nodata are honoured). The output is a one-band class
+    raster on the same grid, 255 where there is no data, with a QGIS style beside it.
+    """
+    if (classes is None) == (model_path is None):
+        raise click.UsageError("give either --classes, to fit a model, or --model, to apply one")
+    if model_path is not None and model_out is not None:
+        raise click.UsageError("--model-out keeps a model that was fitted; with --model none is")
+    from hrt_cli.texture.segment import SegmentSpec
+    from hrt_cli.texture.stage import ImageOptions, segment_file
+
+    spec = None
+    if classes is not None:
+        spec = SegmentSpec(classes, features=features, rotation=rotation, wavelengths_m=wavelengths, seed=seed)
+    with console.bar("segment") as progress:
+        done = segment_file(
+            ortho,
+            output,
+            spec=spec,
+            model_path=model_path,
+            model_out=model_out,
+            image_options=ImageOptions(bands, nodata, unreferenced),
+            creation=dict(creation),
+            block_px=block,
+            workers=workers,
+            existing=existing,
+            progress=progress,
+        )
+    if figure is not None:
+        from hrt_cli.report.overlay import draw_classes
+
+        draw_classes(output, figure, backdrop=None if unreferenced else ortho, existing=existing)
+    for note in done.notes:
+        console.note(f"Note: {ortho}: {note}")
+    _print(output, done, console)
+
+
+def _print(output: Path, done: Segmentation, console: Console) -> None:
+    stats = done.stats
+    speed = stats.pixels / 1e6 / done.seconds
+    shares = ", ".join(f"{k}: {share:.0%}" for k, share in enumerate(stats.class_fractions))
+    state = "up to date" if done.up_to_date else f"{len(stats.class_pixels)} classes in {done.seconds:.1f} s"
+    for row in done.table:
+        console.detail(f"class {row['id']}: mean colour {row['mean_rgb']}, roughness {row['roughness']}")
+    console.result(
+        f"{output}: {state} ({shares})",
+        {
+            "output": str(output),
+            "up_to_date": done.up_to_date,
+            "classes": len(stats.class_pixels),
+            "class_fractions": list(stats.class_fractions),
+            "class_table": done.table,
+            "pixels": stats.pixels,
+            "valid_pixels": stats.valid_pixels,
+            "seconds": done.seconds,
+            "megapixels_per_second": speed,
+            "notes": done.notes,
+        },
+    )
+
+
+def _lengths(text: str | None) -> tuple[float, ...] | None:
+    if not text:
+        return None
+    finite = opt.FiniteFloat(0, low_open=True)
+    return tuple(finite.convert(part, None, None) for part in text.split(","))

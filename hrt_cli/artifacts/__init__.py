@@ -1,0 +1,1 @@
+"""The contracts between stages: strict JSON and NPZ, atomic publish, provenance, caching."""

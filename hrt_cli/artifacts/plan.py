@@ -1,0 +1,98 @@
+"""The plan artifact (`plan.json`): the walk on the scoremap's grid, as cells, coordinates and waypoints."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from pydantic import Field, model_validator
+
+from hrt_cli.artifacts.jsonio import Document
+from hrt_cli.artifacts.provenance import Provenance
+
+Cell = tuple[int, int]
+Point = tuple[float, float]
+
+
+class Waypoint(Document):
+    """A point where the robot turns, or the start or end.
+
+    `step` counts moves from the start, `cell` is (row, col), `x, y` are in the plan's CRS, `lon, lat` are WGS 84
+    degrees (None where the scoremap is not georeferenced).
+    """
+
+    index: int = Field(ge=0)
+    step: int = Field(ge=0)
+    cell: Cell
+    x: float
+    y: float
+    lon: float | None = Field(default=None, ge=-180, le=180)
+    lat: float | None = Field(default=None, ge=-90, le=90)
+
+
+class Budget(Document):
+    """The budget as it was given (`value`, `unit`), and as the planner used it: cells of travel."""
+
+    value: float = Field(gt=0)
+    unit: Literal["steps", "m", "min"]
+    cells: float = Field(gt=0)
+
+
+class Grid(Document):
+    """The scoremap's grid: affine `transform` (a, b, c, d, e, f) from (col, row) to CRS coordinates.
+
+    `crs` is an authority code or WKT, None where the scoremap is not georeferenced; `cell_size_m` is on the ground.
+    `georeference` says whether the coordinates can be trusted: "fake" is a placeholder that some photogrammetry
+    programs write when the photographs carried no GPS.
+    """
+
+    rows: int = Field(gt=0)
+    cols: int = Field(gt=0)
+    transform: tuple[float, float, float, float, float, float]
+    crs: str | None
+    cell_size_m: float = Field(gt=0)
+    georeference: Literal["real", "fake", "none"]
+
+
+class PlanDocument(Document):
+    """A plan. `score`, `discounted_score`, `upper_bound` and `gap` are defined in `docs/method.md`."""
+
+    format: Literal["hrt-plan"] = "hrt-plan"
+    version: Literal[1] = 1
+    method: str
+    seed: int
+    objective: Literal["total", "discounted"]
+    gamma: float = Field(gt=0, le=1)
+    connectivity: Literal[4, 8]
+    return_home: bool
+    budget: Budget
+    grid: Grid
+    start: Cell
+    steps: int = Field(ge=0)
+    score: float = Field(ge=0)
+    discounted_score: float = Field(ge=0)
+    upper_bound: float = Field(ge=0)
+    gap: float = Field(ge=0, le=1)
+    length_m: float = Field(ge=0)
+    speed_m_s: float = Field(gt=0)
+    time_s: float = Field(ge=0)
+    waypoints: list[Waypoint] = Field(min_length=1)
+    cells: list[Cell] = Field(min_length=1)
+    xy: list[Point]
+    lonlat: list[Point] | None
+    provenance: Provenance | None = None
+
+    @model_validator(mode="after")
+    def _agree(self) -> PlanDocument:
+        if len(self.cells) != self.steps + 1 or len(self.xy) != len(self.cells):
+            raise ValueError(f"{self.steps} steps need {self.steps + 1} cells and coordinates")
+        if self.lonlat is not None and len(self.lonlat) != len(self.cells):
+            raise ValueError("lonlat and cells differ in length")
+        if self.cells[0] != self.start:
+            raise ValueError("the first cell is not the start")
+        reach = 1 if self.connectivity == 4 else 2
+        for (r0, c0), (r1, c1) in zip(self.cells, self.cells[1:], strict=False):
+            if max(abs(r1 - r0), abs(c1 - c0)) != 1 or abs(r1 - r0) + abs(c1 - c0) > reach:
+                raise ValueError(f"cells ({r0}, {c0}) and ({r1}, {c1}) are not neighbours")
+        if any(not (0 <= r < self.grid.rows and 0 <= c < self.grid.cols) for r, c in self.cells):
+            raise ValueError("a cell lies outside the grid")
+        return self

@@ -1,0 +1,117 @@
+"""The one publish path: an output appears whole under its name, or not at all.
+
+Work goes into a private folder beside the target (`.<name>.hrt-XXXXXXXX/`, same file system). When it is done the
+file is re-opened and checked, synced, stale side-cars of the old file are deleted, and `os.replace` puts the new one
+in its place. The folder holds a locked file as long as its process lives, so that the next run can tell a folder left
+by a killed process (the lock is free) from one in use, and sweep it.
+"""
+
+from __future__ import annotations
+
+import errno
+import fcntl
+import os
+import shutil
+import tempfile
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+from hrt_cli.errors import OutputError
+
+_LOCK = ".lock"
+_STALE_SIDECARS = (".msk", ".aux.xml", ".ovr", ".ovr.msk", ".msk.ovr")
+
+
+@contextmanager
+def publishing(target: Path, check: Callable[[Path], object]) -> Iterator[Path]:
+    """Yield a path to write; on a clean exit publish it as `target`.
+
+    Other files written beside the yielded path (a `.qml` style) are published with it, before it.
+
+    Parameters
+    ----------
+    target : Path
+        Where the finished file goes. Its folder must exist.
+    check : callable
+        Called with the written path; raises if the file is not what was meant to be written. Not optional:
+        GDAL can lose data on `close()` without raising when the disk is full.
+
+    Raises
+    ------
+    OutputError
+        The folder cannot be written, the disk is full, or `check` found the file damaged.
+    """
+    folder = target.parent
+    try:
+        sweep(target)
+        # mkdtemp makes 0700 folders; the files inside are created with the user's umask.
+        work = Path(tempfile.mkdtemp(prefix=f".{target.name}.hrt-", dir=folder))
+    except OSError as error:
+        raise output_error(target, error) from error
+    try:
+        with open(work / _LOCK, "wb") as lock:
+            fcntl.flock(lock, fcntl.LOCK_EX)
+            draft = work / target.name
+            yield draft
+            check(draft)
+            _replace(draft, target, work)
+    except OSError as error:
+        raise output_error(target, error) from error
+    finally:
+        shutil.rmtree(work, ignore_errors=True)
+
+
+def output_error(target: Path, error: OSError) -> OutputError:
+    """Say in one line why `target` could not be written."""
+    if error.errno == errno.ENOSPC:
+        return OutputError(f"{target}: No space left on device; nothing was changed")
+    return OutputError(f"{target}: cannot be written: {error.strerror or error}")
+
+
+def sweep(target: Path) -> None:
+    """Delete work folders for `target` that a killed process left behind; leave those in use alone."""
+    for work in target.parent.glob(f".{_glob_escaped(target.name)}.hrt-*"):
+        with suppress(OSError), open(work / _LOCK, "rb") as lock:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            shutil.rmtree(work, ignore_errors=True)
+
+
+def check_target(target: Path, inputs: list[Path]) -> None:
+    """Refuse an output that cannot be published: found out before the long work, not after it.
+
+    Raises
+    ------
+    OutputError
+        The target is an input (also by link), is a folder, or lies in a folder that is absent or read-only.
+    """
+    for path in inputs:
+        if target.exists() and path.exists() and os.path.samefile(target, path):
+            raise OutputError(f"{target}: the output is also an input ({path}); choose another name")
+    if target.is_dir():
+        raise OutputError(f"{target}: is a folder; give the name of a file")
+    if not target.parent.is_dir():
+        raise OutputError(f"{target}: the folder {target.parent} does not exist; make it first")
+    if not os.access(target.parent, os.W_OK | os.X_OK):
+        raise OutputError(f"{target}: the folder {target.parent} cannot be written")
+
+
+def _replace(draft: Path, target: Path, work: Path) -> None:
+    companions = sorted(p for p in work.iterdir() if p.name not in (_LOCK, draft.name))
+    for path in (*companions, draft):
+        with open(path, "rb+") as file:
+            os.fsync(file.fileno())
+    for suffix in _STALE_SIDECARS:
+        target.with_name(target.name + suffix).unlink(missing_ok=True)
+    for path in companions:
+        os.replace(path, target.parent / path.name)
+    os.replace(draft, target)
+    descriptor = os.open(target.parent, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
+
+
+def _glob_escaped(name: str) -> str:
+    return "".join(f"[{c}]" if c in "*?[" else c for c in name)

@@ -1,0 +1,1 @@
+"""Drivability per class and the scoremap on the robot's grid."""

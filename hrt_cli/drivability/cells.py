@@ -1,0 +1,135 @@
+"""From class pixels to grid cells: how much of each cell each class covers, and what score that makes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hrt_cli.artifacts.scores import ClassScore
+from hrt_cli.errors import ArgumentError
+from hrt_cli.progress import Progress, silent
+from hrt_cli.raster.grid import Grid
+from hrt_cli.raster.scoremap import MAX_CELLS
+from hrt_cli.raster.windows import Window
+
+NODATA = 255
+MIN_COVERED = 0.5
+"""Share of a cell that must have a class for the cell to be entered: most of it was seen."""
+
+ReadClasses = Callable[[Window], NDArray[np.uint8]]
+
+
+@dataclass(frozen=True)
+class Cover:
+    """How many pixels of each class lie in each cell.
+
+    Attributes
+    ----------
+    counts : int32 [class, rows, cols]
+        Pixels of each class whose centre lies in the cell.
+    pixels_per_cell : float
+        Pixels of a whole cell.
+    grid : Grid
+        The cells.
+    """
+
+    counts: NDArray[np.int32]
+    pixels_per_cell: float
+    grid: Grid
+
+    @property
+    def classes(self) -> list[int]:
+        """Ids of the classes that occur."""
+        return [int(k) for k in np.flatnonzero(self.counts.any(axis=(1, 2)))]
+
+
+def cover(fine: Grid, read: ReadClasses, cell_m: float, progress: Progress = silent) -> Cover:
+    """Count class pixels per cell in one pass over the rows of a class raster.
+
+    Parameters
+    ----------
+    fine : Grid
+        The class raster's geometry.
+    read : callable
+        Reads uint8 classes in a window; 255 is nodata.
+    cell_m : float
+        Side of a cell in metres on the ground.
+
+    Raises
+    ------
+    ArgumentError
+        A cell would be smaller than a pixel, or there would be too many cells.
+    """
+    row_m, col_m = fine.pixel_m
+    if cell_m < max(row_m, col_m) * (1 - 1e-6):
+        raise ArgumentError(f"a cell of {cell_m:g} m is smaller than a pixel of {max(row_m, col_m):.3g} m")
+    grid = fine.coarse(cell_m)
+    if grid.rows * grid.cols > MAX_CELLS:
+        raise ArgumentError(f"a cell of {cell_m:g} m makes {grid.rows} x {grid.cols} cells; use larger ones")
+    step_row, step_col = cell_m / row_m, cell_m / col_m
+    cell_of_col = np.minimum(((np.arange(fine.cols) + 0.5) / step_col).astype(np.int64), grid.cols - 1)
+    counts = np.zeros((0, grid.rows, grid.cols), np.int32)
+    band_rows = max(1, min(512, 2**24 // max(fine.cols, 1)))
+    for top in range(0, fine.rows, band_rows):
+        height = min(band_rows, fine.rows - top)
+        classes = read(Window(top, 0, height, fine.cols))
+        cell_of_row = np.minimum(((np.arange(top, top + height) + 0.5) / step_row).astype(np.int64), grid.rows - 1)
+        counts = _add(counts, classes, cell_of_row, cell_of_col, grid)
+        progress(top + height, fine.rows)
+    return Cover(counts, step_row * step_col, grid)
+
+
+def score_cells(
+    covered: Cover, scores: dict[int, ClassScore], explore: float = 0.0, no_go_below: float | None = None
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Return the expected score of each cell and its standard deviation.
+
+    The score of a cell is the mean of its classes' expected scores weighted by the ground they cover; with
+    independent posteriors its variance is the sum of (share^2 x variance). `explore` B adds B standard deviations
+    to the score (upper confidence bound: Auer 2002), so that what is not known draws the robot.
+
+    Returns
+    -------
+    score, sd : float32 [rows, cols]
+        NaN where less than half of the cell has a class, or where the expected score (before exploration) is below
+        `no_go_below`.
+    """
+    total = covered.counts.sum(axis=0, dtype=np.int64)
+    score = np.zeros(covered.grid.shape)
+    variance = np.zeros(covered.grid.shape)
+    for index in covered.classes:
+        share = covered.counts[index] / np.maximum(total, 1)
+        score += share * scores[index].mean
+        variance += (share * scores[index].sd) ** 2
+    no_go = total < MIN_COVERED * covered.pixels_per_cell
+    if no_go_below is not None:
+        no_go |= score < no_go_below
+    sd = np.sqrt(variance)
+    score = score + explore * sd
+    score[no_go] = np.nan
+    sd[no_go] = np.nan
+    return score.astype(np.float32), sd.astype(np.float32)
+
+
+def _add(
+    counts: NDArray[np.int32],
+    classes: NDArray[np.uint8],
+    cell_of_row: NDArray[np.int64],
+    cell_of_col: NDArray[np.int64],
+    grid: Grid,
+) -> NDArray[np.int32]:
+    present = np.flatnonzero(np.bincount(classes.ravel(), minlength=NODATA + 1)[:NODATA])
+    if present.size and present[-1] >= len(counts):
+        counts = np.concatenate([counts, np.zeros((present[-1] + 1 - len(counts), *grid.shape), np.int32)])
+    first = int(cell_of_row[0])
+    span = int(cell_of_row[-1]) - first + 1
+    # One histogram of (class, cell row, cell column) for the whole band of rows.
+    cell = (cell_of_row - first)[:, None] * grid.cols + cell_of_col[None, :]
+    valid = classes != NODATA
+    key = classes[valid].astype(np.int64) * (span * grid.cols) + cell[valid]
+    found = np.bincount(key, minlength=len(counts) * span * grid.cols)
+    counts[:, first : first + span] += found.reshape(len(counts), span, grid.cols).astype(np.int32)
+    return counts

@@ -1,0 +1,134 @@
+"""Options that several subcommands share, each defined once, so that they mean the same everywhere."""
+
+from __future__ import annotations
+
+import functools
+import math
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, TypeVar
+
+import click
+
+from hrt_cli.progress import Console
+
+F = TypeVar("F", bound=Callable[..., Any])
+
+PATH = click.Path(path_type=Path)
+
+
+class FiniteFloat(click.ParamType):  # type: ignore[type-arg]  # generic only from click 8.4
+    """A real number in an interval; unlike `click.FLOAT` it takes no NaN and no infinity."""
+
+    name = "number"
+
+    def __init__(
+        self, low: float = -math.inf, high: float = math.inf, *, low_open: bool = False, high_open: bool = False
+    ) -> None:
+        self.low, self.high = low, high
+        self.low_open, self.high_open = low_open, high_open
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:  # noqa: D102
+        try:
+            number = float(value)
+        except ValueError:
+            self.fail(f"{value!r} is not a number", param, ctx)
+        if not math.isfinite(number):
+            self.fail(f"{value!r} is not a finite number", param, ctx)
+        if number < self.low or (self.low_open and number == self.low):
+            self.fail(
+                f"{number:g} is too small; it must be {'more than' if self.low_open else 'at least'} {self.low:g}"
+            )
+        if number > self.high or (self.high_open and number == self.high):
+            self.fail(
+                f"{number:g} is too large; it must be {'less than' if self.high_open else 'at most'} {self.high:g}"
+            )
+        return number
+
+
+class NameValue(click.ParamType):  # type: ignore[type-arg]
+    """A pair written `NAME=VALUE`."""
+
+    name = "NAME=VALUE"
+
+    def convert(  # noqa: D102
+        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
+    ) -> tuple[str, str]:
+        if isinstance(value, tuple):
+            return value
+        name, equals, text = str(value).partition("=")
+        if not (name and equals):
+            self.fail(f"{value!r} is not of the form NAME=VALUE", param, ctx)
+        return name, text
+
+
+def console_options(command: F) -> F:
+    """Add `--json`, `-q`, `-v`, handed over as one `console`."""
+
+    @click.option("--json", "as_json", is_flag=True, help="Print the result as one JSON object.")
+    @click.option("-q", "--quiet", is_flag=True, help="No notes and no progress bar.")
+    @click.option("-v", "--verbose", is_flag=True, help="Tell more on stderr.")
+    @functools.wraps(command)
+    def wrapped(*args: Any, as_json: bool, quiet: bool, verbose: bool, **kwargs: Any) -> Any:
+        return command(*args, console=Console(as_json, quiet, verbose), **kwargs)
+
+    return wrapped  # type: ignore[return-value]
+
+
+def existing_options(command: F) -> F:
+    """Add `--overwrite` and `--force`, handed over as one `existing`."""
+
+    @click.option("--overwrite", is_flag=True, help="Replace an output made from other inputs or parameters.")
+    @click.option("--force", is_flag=True, help="Compute again even what is up to date (implies --overwrite).")
+    @functools.wraps(command)
+    def wrapped(*args: Any, overwrite: bool, force: bool, **kwargs: Any) -> Any:
+        from hrt_cli.artifacts.stage import Existing
+
+        return command(*args, existing=Existing(overwrite, force), **kwargs)
+
+    return wrapped  # type: ignore[return-value]
+
+
+output_opt = click.option("-o", "--output", required=True, type=PATH, help="The file to write.")
+
+seed_opt = click.option(
+    "--seed", type=click.IntRange(0, 2**31 - 1), default=0, show_default=True, help="Seed of every random choice."
+)
+
+workers_opt = click.option(
+    "--workers", type=click.IntRange(1, 256), default=1, show_default=True, help="Threads; the result is the same."
+)
+
+bands_opt = click.option(
+    "-b",
+    "--bands",
+    callback=lambda ctx, param, value: _bands(value),
+    help="Bands to take as red, green, blue: 3,2,1 (or one as grey). Default: as the file declares.",
+)
+
+nodata_opt = click.option("--nodata", type=FiniteFloat(), help="Take this value as nodata instead of the file's own.")
+
+creation_opt = click.option(
+    "--co",
+    "creation",
+    multiple=True,
+    type=NameValue(),
+    help="Creation option of GDAL's COG driver, such as COMPRESS=ZSTD (repeatable).",
+)
+
+unreferenced_opt = click.option(
+    "--unreferenced", is_flag=True, help="Accept a plain image without georeference: lengths are pixels."
+)
+
+figure_opt = click.option("--figure", type=PATH, help="Also draw the result as a PNG.")
+
+backdrop_opt = click.option("--backdrop", type=PATH, help="Orthomosaic to draw the figure on.")
+
+
+def _bands(text: str | None) -> tuple[int, ...]:
+    if not text:
+        return ()
+    try:
+        return tuple(int(part) for part in text.split(","))
+    except ValueError:
+        raise click.BadParameter(f"{text!r} is not a list of band numbers such as 1,2,3") from None

@@ -1,0 +1,1 @@
+"""The informative path planner: grid walks, policy, training, refinement, bounds, baselines."""

@@ -1,0 +1,241 @@
+"""The stochastic policy: a softmax over moves, linear in the tied multi-resolution features."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from importlib import resources
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from hrt_cli.planning.features import (
+    LAYOUTS,
+    RING,
+    Blocks,
+    feature_count,
+    padded_index,
+    put_back,
+    read_rings,
+    take_out,
+    tie_rings,
+)
+from hrt_cli.planning.walk import Field, capacity, may_step, next_uniform
+
+DEFAULT_POLICY_FILE = "default_policy.npz"
+
+RecipeValue = str | int | float
+SEED_STRIDE = np.uint64(0xD1342543DE82EF95)
+"""Odd constant that spreads consecutive rollout numbers over the generator's states."""
+
+
+@dataclass(frozen=True)
+class Policy:
+    """Weights of the move preferences, and how they came about.
+
+    Attributes
+    ----------
+    weights : ndarray, float64 [features]
+        One weight per tied feature of the layout.
+    layout : str
+        One of `features.LAYOUTS`.
+    recipe : dict
+        Numbers and strings of the training that made it.
+    """
+
+    weights: NDArray[np.float64]
+    layout: str = "rings"
+    recipe: dict[str, RecipeValue] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        if self.layout not in LAYOUTS:
+            raise ValueError(f"unknown feature layout {self.layout!r} (known: {', '.join(LAYOUTS)})")
+        expected = (feature_count(self.layout),)
+        if self.weights.shape != expected or self.weights.dtype != np.float64:
+            raise ValueError(
+                f"the weights of layout {self.layout!r} must be float64 {expected}, "
+                f"not {self.weights.dtype} {self.weights.shape}"
+            )
+        if not np.isfinite(self.weights).all():
+            raise ValueError("the weights are not finite")
+
+    def to_arrays(self) -> dict[str, NDArray[np.generic]]:
+        """Return the policy as named arrays without objects, ready for an NPZ file."""
+        names = sorted(self.recipe)
+        return {
+            "weights": self.weights,
+            "layout": np.array(self.layout),
+            "recipe_names": np.array(names, dtype=np.str_),
+            "recipe_values": np.array([_spell(self.recipe[name]) for name in names], dtype=np.str_),
+        }
+
+    @classmethod
+    def from_arrays(cls, arrays: Mapping[str, NDArray[np.generic]]) -> Policy:
+        """Return the policy that `to_arrays` wrote; other arrays may stand beside its own.
+
+        Raises
+        ------
+        ValueError
+            When an array is missing or is not what `to_arrays` writes.
+        """
+        missing = {"weights", "layout", "recipe_names", "recipe_values"} - set(arrays)
+        if missing:
+            raise ValueError(f"not a policy: {', '.join(sorted(missing))} missing")
+        names, values, layout = arrays["recipe_names"], arrays["recipe_values"], arrays["layout"]
+        for name, array, ndim in (("recipe_names", names, 1), ("recipe_values", values, 1), ("layout", layout, 0)):
+            if array.ndim != ndim or (array.dtype.kind != "U" and array.size > 0):
+                raise ValueError(f"not a policy: {name} is not {'a list of ' if ndim else ''}text")
+        if names.shape != values.shape:
+            raise ValueError("not a policy: recipe names and values differ in number")
+        weights = np.array(arrays["weights"])
+        recipe = {str(name): _parse(str(value)) for name, value in zip(names, values, strict=True)}
+        return cls(weights, str(layout), recipe)
+
+
+def _spell(value: RecipeValue) -> str:
+    return f"{type(value).__name__}:{value!r}" if not isinstance(value, str) else f"str:{value}"
+
+
+def _parse(text: str) -> RecipeValue:
+    kind, _, value = text.partition(":")
+    if kind == "int":
+        return int(value)
+    if kind == "float":
+        return float(value)
+    if kind == "str":
+        return value
+    raise ValueError(f"not a policy: recipe value {text!r} has no known type")
+
+
+def default_policy() -> Policy:
+    """Return the policy that ships with the package, trained by `train` with its default recipe."""
+    data = resources.files("hrt_cli.planning").joinpath(DEFAULT_POLICY_FILE).read_bytes()
+    with np.load(io.BytesIO(data), allow_pickle=False) as arrays:
+        return Policy.from_arrays({name: arrays[name] for name in arrays.files})
+
+
+@njit(cache=True, nogil=True)
+def choose(
+    phi: NDArray[np.float64],
+    allowed: NDArray[np.bool_],
+    weights: NDArray[np.float64],
+    sample: bool,
+    state: NDArray[np.uint64],
+    share: NDArray[np.float64],
+) -> int:
+    """Return the move taken from features `phi` [moves, features], -1 when none is allowed.
+
+    Fills `share` with the softmax over the allowed moves; takes the likeliest unless `sample`.
+    """
+    best, best_logit = -1, -np.inf
+    for a in range(phi.shape[0]):
+        share[a] = 0.0
+        if allowed[a]:
+            logit = 0.0
+            for i in range(weights.size):
+                logit += phi[a, i] * weights[i]
+            share[a] = logit
+            if logit > best_logit:
+                best, best_logit = a, logit
+    if best < 0:
+        return -1
+    total = 0.0
+    for a in range(phi.shape[0]):
+        share[a] = np.exp(share[a] - best_logit) if allowed[a] else 0.0
+        total += share[a]
+    for a in range(phi.shape[0]):
+        share[a] /= total
+    if not sample:
+        return best
+    threshold = next_uniform(state)
+    for a in range(phi.shape[0]):
+        threshold -= share[a]
+        if allowed[a] and threshold < 0.0:
+            return a
+    return best
+
+
+@njit(cache=True, nogil=True)
+def roll(
+    field: Field,
+    blocks: Blocks,
+    sums: NDArray[np.float32],
+    weights: NDArray[np.float64],
+    sample: bool,
+    state: NDArray[np.uint64],
+    path: NDArray[np.int64],
+    fresh: NDArray[np.float64],
+    scores: NDArray[np.float64],
+) -> int:
+    """Walk once under the policy until the budget is spent; return the number of cells.
+
+    Fills `path` and `fresh` (scaled score collected at each cell). Where `scores` [moves, features] is not
+    empty it receives the gradient of log pi at each move. `sums` is restored before returning.
+    """
+    moves = field.offsets.size
+    rings = np.zeros((weights.size // 5, RING))
+    phi = np.zeros((moves, weights.size))
+    share = np.zeros(moves)
+    allowed = np.zeros(moves, np.bool_)
+    seen = np.zeros(field.free.size, np.bool_)
+    cell, left, n = field.start, field.limit, 1
+    path[0] = cell
+    fresh[0] = field.value[cell] / blocks.scale
+    seen[cell] = True
+    take_out(blocks, sums, padded_index(blocks, field.width, cell), fresh[0])
+    while n < path.size:
+        read_rings(blocks, sums, padded_index(blocks, field.width, cell), field.width, path, n, fresh, rings)
+        for a in range(moves):
+            allowed[a] = may_step(field, cell, a, left)
+            tie_rings(rings, a * (RING // moves), phi[a])
+        a = choose(phi, allowed, weights, sample, state, share)
+        if a < 0:
+            break
+        if scores.size > 0:
+            for i in range(weights.size):
+                mean = 0.0
+                for b in range(moves):
+                    mean += share[b] * phi[b, i]
+                scores[n - 1, i] = phi[a, i] - mean
+        cell += field.offsets[a]
+        left -= field.costs[a]
+        path[n] = cell
+        fresh[n] = 0.0
+        if not seen[cell]:
+            seen[cell] = True
+            fresh[n] = field.value[cell] / blocks.scale
+            if fresh[n] > 0.0:
+                take_out(blocks, sums, padded_index(blocks, field.width, cell), fresh[n])
+        n += 1
+    for t in range(n):
+        put_back(blocks, sums, padded_index(blocks, field.width, path[t]))
+    return n
+
+
+@njit(cache=True, nogil=True)
+def roll_many(
+    field: Field, blocks: Blocks, weights: NDArray[np.float64], count: int, seed: int
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return `count` sampled walks, int64 [count, capacity], and their numbers of cells, int64 [count]."""
+    cells = capacity(field)
+    paths = np.zeros((count, cells), np.int64)
+    lengths = np.zeros(count, np.int64)
+    fresh = np.zeros(cells)
+    nothing = np.zeros((0, 0))
+    sums = blocks.sums.copy()
+    state = np.zeros(1, np.uint64)
+    for i in range(count):
+        state[0] = np.uint64(seed) + np.uint64(i + 1) * SEED_STRIDE
+        lengths[i] = roll(field, blocks, sums, weights, True, state, paths[i], fresh, nothing)
+    return paths, lengths
+
+
+@njit(cache=True, nogil=True)
+def roll_best(field: Field, blocks: Blocks, weights: NDArray[np.float64]) -> tuple[NDArray[np.int64], int]:
+    """Return the walk that always takes the likeliest move, and its number of cells."""
+    path = np.zeros(capacity(field), np.int64)
+    state = np.zeros(1, np.uint64)
+    n = roll(field, blocks, blocks.sums.copy(), weights, False, state, path, np.zeros(path.size), np.zeros((0, 0)))
+    return path, n

@@ -1,0 +1,242 @@
+"""Policy-gradient training on many maps: GPOMDP and REINFORCE with unbiased baselines."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import asdict, dataclass
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from hrt_cli.errors import ArgumentError
+from hrt_cli.planning.families import FAMILIES, make_map
+from hrt_cli.planning.features import LAYOUTS, Blocks, build_blocks, feature_count
+from hrt_cli.planning.policy import SEED_STRIDE, Policy, roll
+from hrt_cli.planning.problem import Budget, Problem
+from hrt_cli.planning.walk import Field, build_field, capacity
+from hrt_cli.progress import Progress, silent
+
+ESTIMATORS = ("gpomdp", "reinforce")
+
+ADAM_DECAY = (0.9, 0.99)
+ADAM_EPSILON = 1e-8
+"""Constants of Adam (Kingma and Ba 2015); the second decay is short, as a training has few hundred steps."""
+
+THREADS = 2
+"""Maps rolled out at the same time; the answer does not depend on it."""
+
+
+@dataclass(frozen=True)
+class TrainSpec:
+    """Hyper-parameters of a training.
+
+    Parameters
+    ----------
+    estimator : {'gpomdp', 'reinforce'}
+        Rewards to go against a baseline per time step, or whole returns against one baseline.
+    layout : str
+        Feature layout, one of `features.LAYOUTS`.
+    iterations : int
+        Steps of the optimiser.
+    maps_per_iteration, rollouts : int
+        Maps (each with its own start) per step, and rollouts on each; at least 2 rollouts.
+    map_side : int
+        Rows and columns of the generated maps.
+    moves : int
+        Budget of a rollout.
+    trace_decay : float
+        Discount of the eligibility trace (Baxter and Bartlett 2001), in (0, 1]; 1 is unbiased.
+    learning_rate : float
+        Adam's step at the start; it falls to a tenth by a cosine.
+    eight : float
+        Share of the maps on which diagonal moves are allowed.
+    families : tuple of str
+        Map families drawn from, see `families.FAMILIES`.
+    seed : int
+        Random seed, >= 0.
+    """
+
+    estimator: str = "gpomdp"
+    layout: str = "rings"
+    iterations: int = 300
+    maps_per_iteration: int = 8
+    rollouts: int = 16
+    map_side: int = 48
+    moves: int = 160
+    trace_decay: float = 0.98
+    learning_rate: float = 0.15
+    eight: float = 0.25
+    families: tuple[str, ...] = FAMILIES
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        if self.estimator not in ESTIMATORS:
+            raise ArgumentError(f"unknown estimator {self.estimator!r} (one of: {', '.join(ESTIMATORS)})")
+        if self.layout not in LAYOUTS:
+            raise ArgumentError(f"unknown feature layout {self.layout!r} (one of: {', '.join(LAYOUTS)})")
+        unknown = sorted(set(self.families) - set(FAMILIES))
+        if unknown or not self.families:
+            raise ArgumentError(f"unknown map families: {', '.join(unknown) or 'none given'}")
+        for name, least in (("iterations", 1), ("maps_per_iteration", 1), ("rollouts", 2), ("map_side", 4),
+                            ("moves", 1), ("seed", 0)):  # fmt: skip
+            if getattr(self, name) < least:
+                raise ArgumentError(f"{name} must be at least {least}, not {getattr(self, name)}")
+        if not 0.0 < self.trace_decay <= 1.0:
+            raise ArgumentError(f"trace_decay must be above 0 and at most 1, not {self.trace_decay}")
+        if not 0.0 < self.learning_rate < np.inf:
+            raise ArgumentError(f"learning_rate must be a positive number, not {self.learning_rate}")
+        if not 0.0 <= self.eight <= 1.0:
+            raise ArgumentError(f"eight must be between 0 and 1, not {self.eight}")
+
+
+@njit(cache=True, nogil=True)
+def explore(
+    field: Field, blocks: Blocks, weights: NDArray[np.float64], count: int, seed: int
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return rewards [count, moves] and gradients of log pi [count, moves, weights] of sampled rollouts.
+
+    Rewards are in units of `blocks.scale`; what the start pays is left out, no move earns it.
+    """
+    moves = capacity(field) - 1
+    rewards = np.zeros((count, moves))
+    scores = np.zeros((count, moves, weights.size))
+    path = np.zeros(moves + 1, np.int64)
+    fresh = np.zeros(moves + 1)
+    sums = blocks.sums.copy()
+    state = np.zeros(1, np.uint64)
+    for i in range(count):
+        state[0] = np.uint64(seed) + np.uint64(i + 1) * SEED_STRIDE
+        n = roll(field, blocks, sums, weights, True, state, path, fresh, scores[i])
+        rewards[i, : n - 1] = fresh[1:n]
+    return rewards, scores
+
+
+def gpomdp_gradient(
+    rewards: NDArray[np.float64], scores: NDArray[np.float64], trace_decay: float = 1.0
+) -> NDArray[np.float64]:
+    """Return the GPOMDP estimate of the gradient of the expected reward.
+
+    grad = 1/m sum_i sum_t score_it sum_{j >= t} decay^(j - t) (r_ij - b_ij) (Baxter and Bartlett 2001), with
+    b_ij the mean reward at time j over the *other* rollouts from the same start: independent of rollout i, so
+    the estimate stays unbiased at decay 1.
+
+    Parameters
+    ----------
+    rewards : ndarray, float64 [rollouts, moves]
+        Rewards of rollouts from one start.
+    scores : ndarray, float64 [rollouts, moves, weights]
+        Gradients of log pi.
+    trace_decay : float
+        In (0, 1]; below 1 trades bias for variance.
+
+    Returns
+    -------
+    ndarray, float64 [weights]
+    """
+    count = rewards.shape[0]
+    advantage = rewards - (rewards.sum(axis=0) - rewards) / (count - 1)
+    to_go = np.zeros_like(advantage)
+    carried = np.zeros(count)
+    for t in range(rewards.shape[1] - 1, -1, -1):
+        carried = advantage[:, t] + trace_decay * carried
+        to_go[:, t] = carried
+    return np.asarray(np.einsum("it,itk->k", to_go, scores) / count)
+
+
+def reinforce_gradient(rewards: NDArray[np.float64], scores: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the REINFORCE estimate of the gradient of the expected reward (Williams 1992).
+
+    grad = 1/m sum_i (R_i - b_i) sum_t score_it, with b_i the mean return of the other rollouts. Arguments as
+    for `gpomdp_gradient`.
+    """
+    returns = rewards.sum(axis=1)
+    count = returns.size
+    advantage = returns - (returns.sum() - returns) / (count - 1)
+    return np.asarray(np.einsum("i,itk->k", advantage, scores) / count)
+
+
+def train(
+    spec: TrainSpec,
+    maps: Sequence[NDArray[np.floating]] | None = None,
+    progress: Progress = silent,
+) -> tuple[Policy, NDArray[np.float64]]:
+    """Train a policy; return it and its learning curve.
+
+    Parameters
+    ----------
+    spec : TrainSpec
+        Hyper-parameters; they become the policy's recipe.
+    maps : sequence of ndarray [rows, cols], optional
+        Score maps to draw from (NaN = no-go); without it new maps of `spec.families` are made all along.
+    progress : Progress
+        Called with (iterations done, iterations).
+
+    Returns
+    -------
+    policy : Policy
+    curve : ndarray, float64 [iterations]
+        Mean share of the best T cells of the map that a rollout collected, per iteration.
+
+    Raises
+    ------
+    ArgumentError
+        When no map has a cell to start from.
+    """
+    weights = np.zeros(feature_count(spec.layout))
+    mean, square = np.zeros_like(weights), np.zeros_like(weights)
+    curve = np.zeros(spec.iterations)
+    rng = np.random.default_rng(spec.seed)
+    with ThreadPoolExecutor(THREADS) as pool:
+        for step in range(spec.iterations):
+            seeds = rng.integers(0, 2**62, spec.maps_per_iteration)
+            current = weights.copy()
+            outcomes = list(pool.map(lambda s: _try_map(spec, maps, current, int(s)), seeds))  # noqa: B023
+            gradient = np.mean([outcome[0] for outcome in outcomes], axis=0)
+            curve[step] = float(np.mean([outcome[1] for outcome in outcomes]))
+            mean = ADAM_DECAY[0] * mean + (1 - ADAM_DECAY[0]) * gradient
+            square = ADAM_DECAY[1] * square + (1 - ADAM_DECAY[1]) * gradient**2
+            unbiased = mean / (1 - ADAM_DECAY[0] ** (step + 1))
+            spread = np.sqrt(square / (1 - ADAM_DECAY[1] ** (step + 1)))
+            fade = 0.55 + 0.45 * np.cos(np.pi * step / spec.iterations)
+            weights = weights + spec.learning_rate * fade * unbiased / (spread + ADAM_EPSILON)
+            progress(step + 1, spec.iterations)
+    recipe: dict[str, str | int | float] = {
+        name: ",".join(value) if isinstance(value, tuple) else value for name, value in asdict(spec).items()
+    }
+    recipe["maps"] = "generated" if maps is None else len(maps)
+    return Policy(weights, spec.layout, recipe), curve
+
+
+def _try_map(
+    spec: TrainSpec, maps: Sequence[NDArray[np.floating]] | None, weights: NDArray[np.float64], seed: int
+) -> tuple[NDArray[np.float64], float]:
+    """Roll out on one map; return the gradient and the mean share of the best T cells collected."""
+    rng = np.random.default_rng(seed)
+    if maps is None:
+        family = spec.families[int(rng.integers(len(spec.families)))]
+        score = make_map(family, (spec.map_side, spec.map_side), rng)
+    else:
+        score = np.asarray(maps[int(rng.integers(len(maps)))], np.float64)
+    eight = bool(rng.random() < spec.eight)
+    field = build_field(_problem_on(score, spec.moves, 8 if eight else 4, rng))
+    blocks = build_blocks(field, spec.layout)
+    rewards, scores = explore(field, blocks, weights, spec.rollouts, int(rng.integers(2**62)))
+    rewards = rewards / spec.moves
+    if spec.estimator == "gpomdp":
+        gradient = gpomdp_gradient(rewards, scores, spec.trace_decay)
+    else:
+        gradient = reinforce_gradient(rewards, scores)
+    return gradient, float(rewards.sum(axis=1).mean())
+
+
+def _problem_on(score: NDArray[np.floating], moves: int, connectivity: int, rng: np.random.Generator) -> Problem:
+    """Return a problem with a random start that is not walled in."""
+    for index in rng.permutation(np.flatnonzero(~np.isnan(score)))[:100]:
+        start = (int(index) // score.shape[1], int(index) % score.shape[1])
+        try:
+            return Problem(score, start, Budget(float(moves)), connectivity)
+        except ArgumentError:
+            continue
+    raise ArgumentError("a training map has no cell a robot could start from")

@@ -1,0 +1,267 @@
+"""The one input gate for rasters: what cannot be answered rightly is refused here, before any pixel is worked on.
+
+Most bad rasters load without any exception (no CRS, alpha as a colour, NaN without a nodata tag, a bomb of 30 GB in
+40 kB), so each property is checked by itself, from the header, before the first read.
+"""
+
+from __future__ import annotations
+
+import logging
+import math
+import os
+import re
+import threading
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+import rasterio
+from affine import Affine
+from numpy.typing import NDArray
+from rasterio.enums import ColorInterp, MaskFlags
+from rasterio.errors import NotGeoreferencedWarning, RasterioError
+from rasterio.io import DatasetReader
+from rasterio.windows import Window as RioWindow
+
+from hrt_cli.errors import InputError
+from hrt_cli.raster.grid import Grid, require_measurable
+from hrt_cli.raster.windows import Window
+
+# GDAL's default cache is 5 % of the machine's memory; blocks are read once, so a small one serves as well.
+os.environ.setdefault("GDAL_CACHEMAX", "64")
+# GDAL's complaints reach the user as one `Error:` line from the exception, not as a second one from its logger.
+logging.getLogger("rasterio").setLevel(logging.CRITICAL)
+
+_DRIVERS = ("GTiff", "COG", "VRT", "JP2OpenJPEG", "HFA", "PNG", "JPEG")
+_FORMATS = "GeoTIFF, VRT, JPEG 2000, Imagine, PNG or JPEG is"
+_BOMB_BYTES = 2**30
+_BOMB_RATIO = 500
+_MAX_BLOCK_BYTES = 512 * 2**20
+_VRT_ESCAPES = re.compile(rb"/vsi|https?://|<PixelFunction|&#|<!ENTITY", re.IGNORECASE)
+
+Use = Literal["image", "data"]
+
+
+class Raster:
+    """An open raster that passed the gate. Reads are safe from several threads; close it by `with`.
+
+    Attributes
+    ----------
+    path : Path
+    grid : Grid
+        Its geometry, found measurable (or pixel coordinates, where it was opened unreferenced).
+    count, dtypes, nodata : int, tuple of str, tuple of float or None
+        As the file declares them (`nodata` per band; the user's `--nodata` in its place if given).
+    notes : list of str
+        What the user ought to know though it was no reason to refuse.
+    """
+
+    def __init__(self, path: Path, dataset: DatasetReader, grid: Grid, nodata: float | None) -> None:
+        self.path = path
+        self.grid = grid
+        self.count: int = dataset.count
+        self.dtypes: tuple[str, ...] = dataset.dtypes
+        self.nodata: tuple[float | None, ...] = dataset.nodatavals if nodata is None else (nodata,) * dataset.count
+        self.driver: str = dataset.driver
+        self.colours: tuple[ColorInterp, ...] = dataset.colorinterp
+        self.block_shape: tuple[int, int] = dataset.block_shapes[0]
+        self.compression: str = str(dataset.profile.get("compress", "none"))
+        self.overviews: list[int] = dataset.overviews(1)
+        self.tags: dict[str, str] = dataset.tags()
+        self.hrt_tags: dict[str, str] = dataset.tags(ns="HRT")
+        self.palette: NDArray[np.uint8] | None = _palette(dataset)
+        self.has_mask = (
+            MaskFlags.per_dataset in dataset.mask_flag_enums[0] and MaskFlags.alpha not in dataset.mask_flag_enums[0]
+        )
+        self.notes: list[str] = []
+        self._local = threading.local()
+        self._open: list[DatasetReader] = [dataset]
+        self._lock = threading.Lock()
+        self._local.dataset = dataset
+
+    def __enter__(self) -> Raster:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        for dataset in self._open:
+            dataset.close()
+
+    def sources(self) -> dict[str, Path]:
+        """Return the files that its pixels and mask come from, by role, for provenance.
+
+        That is the file itself, a mask side-car, and the files a VRT is made of; overviews and statistics beside
+        it change nothing.
+        """
+        parts = [Path(name) for name in self._open[0].files]
+        return {"raster": self.path} | {
+            f"raster/{index}": part
+            for index, part in enumerate(p for p in parts if p != self.path and p.suffix not in (".ovr", ".xml"))
+            if part.is_file()
+        }
+
+    def read_bands(self, bands: list[int], window: Window) -> NDArray[Any]:
+        """Read bands (1-based) in a window inside the raster: [band, height, width] in the file's dtype."""
+        try:
+            return np.asarray(self._dataset().read(bands, window=_rio(window)))
+        except RasterioError as error:
+            raise _damaged(self.path, error) from error
+
+    def read_mask(self, window: Window) -> NDArray[np.bool_]:
+        """Read the file's own mask (internal or side-car) in a window inside the raster."""
+        try:
+            return np.asarray(self._dataset().read_masks(1, window=_rio(window)) > 0)
+        except RasterioError as error:
+            raise _damaged(self.path, error) from error
+
+    def _dataset(self) -> DatasetReader:
+        # rasterio's datasets must not be shared between threads: each thread opens its own.
+        dataset: DatasetReader | None = getattr(self._local, "dataset", None)
+        if dataset is None:
+            dataset = _open(self.path)
+            self._local.dataset = dataset
+            with self._lock:
+                self._open.append(dataset)
+        return dataset
+
+
+@contextmanager
+def open_raster(
+    path: str | os.PathLike[str], *, nodata: float | None = None, unreferenced: bool = False
+) -> Iterator[Raster]:
+    """Open a raster through the gate.
+
+    Parameters
+    ----------
+    path : path-like
+        A file on this machine (no GDAL virtual file system).
+    nodata : float, optional
+        The value to take as nodata instead of the file's own.
+    unreferenced : bool
+        Accept a plain image: lengths are pixels, and the result has no CRS.
+
+    Raises
+    ------
+    InputError
+        The file is no readable raster, is a decompression bomb, has no trustworthy georeference, or has pixels that
+        cannot be measured in metres.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise InputError(path, "no such file")
+    _refuse_escaping_vrt(path)
+    dataset = _open(path)
+    try:
+        _check_header(path, dataset)
+        grid = _grid(path, dataset, unreferenced)
+    except BaseException:
+        dataset.close()
+        raise
+    with Raster(path, dataset, grid, nodata) as raster:
+        if grid.placeholder_georeference:
+            raster.notes.append(
+                "its coordinates are a placeholder (UTM at 0, 0): the photographs carried no GPS; "
+                "missions cannot be exported from it"
+            )
+        yield raster
+
+
+def _open(path: Path) -> DatasetReader:
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", NotGeoreferencedWarning)
+            dataset: DatasetReader = rasterio.open(path)
+    except RasterioError as error:
+        raise InputError(path, "is not a raster that can be read", _FORMATS) from error
+    except OSError as error:
+        raise InputError(path, f"cannot be read: {error.strerror or error}") from error
+    if dataset.driver not in _DRIVERS:
+        dataset.close()
+        raise InputError(path, f"is a {dataset.driver} file, which is not read", _FORMATS)
+    return dataset
+
+
+def _refuse_escaping_vrt(path: Path) -> None:
+    with open(path, "rb") as file:
+        head = file.read(4 * 2**20)
+    if b"<VRTDataset" in head[:4096] and _VRT_ESCAPES.search(head):
+        raise InputError(path, "is a VRT that reads over a network or virtual file system, or runs code")
+
+
+def _check_header(path: Path, dataset: DatasetReader) -> None:
+    if dataset.count < 1 or dataset.width < 1 or dataset.height < 1:
+        raise InputError(path, "holds no pixels")
+    kinds = {np.dtype(d).kind for d in dataset.dtypes if not d.startswith("complex_int")}
+    if not kinds <= set("uif") or any(d.startswith("complex") for d in dataset.dtypes):
+        raise InputError(path, f"has pixels of type {dataset.dtypes[0]}; integer or real ones are needed")
+    itemsize = max(np.dtype(d).itemsize for d in dataset.dtypes)
+    declared = dataset.width * dataset.height * dataset.count * itemsize
+    stored = path.stat().st_size
+    if dataset.driver != "VRT" and declared > _BOMB_BYTES and declared > _BOMB_RATIO * stored:
+        raise InputError(
+            path,
+            f"declares {declared / 1e9:.0f} GB of pixels in a file of {stored / 1e6:.3g} MB: empty, or a bomb",
+            "rewrite it with gdal_translate if it is genuine",
+        )
+    block_rows, block_cols = dataset.block_shapes[0]
+    block = block_rows * block_cols * itemsize * dataset.count
+    if block > _MAX_BLOCK_BYTES:
+        raise InputError(
+            path,
+            f"is stored in blocks of {block_cols} x {block_rows} pixels: {block / 1e9:.1f} GB to read one",
+            "rewrite it with gdal_translate -co TILED=YES",
+        )
+
+
+def _grid(path: Path, dataset: DatasetReader, unreferenced: bool) -> Grid:
+    rows, cols = dataset.height, dataset.width
+    if unreferenced:
+        return Grid(rows, cols, Affine.identity(), None)
+    if dataset.crs is None or not dataset.crs.to_wkt():
+        remedy = "assign one with gdal_edit -a_srs, or use --unreferenced for a plain image"
+        if dataset.gcps[0]:
+            raise InputError(path, "has ground control points but no CRS of its own", "warp it with gdalwarp first")
+        if dataset.rpcs is not None:
+            raise InputError(path, "has RPCs but no CRS of its own", "orthorectify it with gdalwarp -rpc first")
+        raise InputError(path, "has no coordinate reference system", remedy)
+    if dataset.transform == Affine.identity():
+        raise InputError(path, "has a CRS but no geotransform: it is not placed anywhere")
+    grid = Grid(rows, cols, Affine(*dataset.transform[:6]), dataset.crs)
+    require_measurable(path, grid)
+    return grid
+
+
+def _palette(dataset: DatasetReader) -> NDArray[np.uint8] | None:
+    """Return the colour table [256, 3] of a paletted band, else None."""
+    if dataset.colorinterp[0] != ColorInterp.palette:
+        return None
+    table = np.zeros((256, 3), np.uint8)
+    for index, colour in dataset.colormap(1).items():
+        if index < len(table):
+            table[index] = colour[:3]
+    return table
+
+
+def _rio(window: Window) -> RioWindow:
+    return RioWindow(window.col, window.row, window.width, window.height)
+
+
+def _damaged(path: Path, error: Exception) -> InputError:
+    cause = error.__cause__ or error
+    return InputError(path, f"is damaged or cut short: {' '.join(str(cause).split())}")
+
+
+def is_nodata(values: NDArray[Any], nodata: float | None) -> NDArray[np.bool_]:
+    """Where values equal the nodata value (NaN equals NaN), or are no finite number at all."""
+    empty = ~np.isfinite(values) if values.dtype.kind == "f" else np.zeros(values.shape, np.bool_)
+    if nodata is None or not math.isfinite(nodata):
+        return empty
+    if values.dtype.kind == "f":
+        return np.asarray(empty | (values == values.dtype.type(nodata)))
+    limits = np.iinfo(values.dtype)
+    # A nodata value outside the type's range (-9999 in uint8) is met by no pixel; a cast would wrap it round.
+    if limits.min <= nodata <= limits.max and nodata == int(nodata):
+        empty |= values == int(nodata)
+    return empty

@@ -1,0 +1,149 @@
+"""The scoremap: expected score per grid cell (band 1), its standard deviation (band 2), NaN where no robot may go."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from affine import Affine
+from numpy.typing import NDArray
+
+from hrt_cli.artifacts.carriers import read_stamped_npz
+from hrt_cli.artifacts.provenance import Provenance
+from hrt_cli.errors import InputError
+from hrt_cli.raster.cog import Layout, publishing_cog
+from hrt_cli.raster.gate import is_nodata, open_raster
+from hrt_cli.raster.grid import Grid
+from hrt_cli.raster.style import score_qml
+from hrt_cli.raster.windows import Window
+
+MAX_CELLS = 16_000_000
+_SQUARE = 0.01
+_NPZ_KEYS = {"score", "sd", "cell_size_m", "no_go"}
+
+
+@dataclass(frozen=True)
+class Scoremap:
+    """Scores on a grid of square cells.
+
+    Attributes
+    ----------
+    score : float32 [rows, cols]
+        Expected score of each cell, >= 0; NaN = no-go.
+    sd : float32 [rows, cols]
+        Its standard deviation; NaN where the score is.
+    grid : Grid
+        Where the cells lie (no CRS if the scoremap came as NPZ).
+    cell_size_m : float
+        Side of a cell in metres on the ground.
+    """
+
+    score: NDArray[np.float32]
+    sd: NDArray[np.float32]
+    grid: Grid
+    cell_size_m: float
+
+
+def read_scoremap(path: Path) -> Scoremap:
+    """Read a scoremap, `.tif` or `.npz`.
+
+    Raises
+    ------
+    InputError
+        The file is damaged, is not georeferenced (`.tif`), has cells that are not square on the ground, holds a
+        negative or infinite score, or has no cell that may be entered.
+    """
+    found = _read_npz(path) if path.suffix.lower() == ".npz" else _read_tif(path)
+    score = found.score
+    if np.isinf(score).any():
+        raise InputError(path, "holds an infinite score")
+    if (score < 0).any():
+        row, col = np.argwhere(score < 0)[0]
+        raise InputError(path, f"holds a negative score ({score[row, col]:g} at cell {row},{col})")
+    if np.isnan(score).all():
+        raise InputError(path, "has no cell that may be entered: all are no-go")
+    return found
+
+
+def publish_scoremap(
+    target: Path,
+    scoremap: Scoremap,
+    provenance: Provenance,
+    *,
+    tags: dict[str, Any],
+    creation: dict[str, str],
+) -> None:
+    """Publish a scoremap as a two-band float32 Cloud Optimised GeoTIFF with its QGIS style."""
+    top = float(np.nanmax(scoremap.score)) if np.isfinite(scoremap.score).any() else 1.0
+    layout = Layout(
+        bands=("score", "sd"),
+        dtype="float32",
+        nodata=float("nan"),
+        resampling="average",
+        tags={"cell_size_m": scoremap.cell_size_m, **tags},
+        style=score_qml(max(top, 1e-6)),
+        creation=creation,
+    )
+    grid = scoremap.grid
+    with publishing_cog(target, grid, layout, provenance) as writer:
+        writer.write(Window(0, 0, grid.rows, grid.cols), np.stack([scoremap.score, scoremap.sd]))
+
+
+def _read_tif(path: Path) -> Scoremap:
+    with open_raster(path) as raster:
+        grid = raster.grid
+        _check_size(path, grid.rows, grid.cols)
+        if np.dtype(raster.dtypes[0]).kind != "f" or raster.count > 2:
+            raise InputError(path, "is not a scoremap: it needs a real-valued score band, and at most an sd band")
+        row_m, col_m = grid.pixel_m
+        if abs(row_m / col_m - 1) > _SQUARE:
+            raise InputError(path, f"its cells are {col_m:.3f} x {row_m:.3f} m; a plan needs square ones")
+        window = Window(0, 0, grid.rows, grid.cols)
+        bands = raster.read_bands(list(range(1, raster.count + 1)), window).astype(np.float32)
+        for band, values in enumerate(bands):
+            nodata = raster.nodata[band]
+            infinite = np.isinf(values)
+            values[is_nodata(values, nodata) & ~infinite] = np.nan
+        if raster.has_mask:
+            bands[:, ~raster.read_mask(window)] = np.nan
+    sd = bands[1] if len(bands) > 1 else np.where(np.isnan(bands[0]), np.nan, np.float32(0))
+    return Scoremap(bands[0], sd, grid, float(np.sqrt(row_m * col_m)))
+
+
+def _read_npz(path: Path) -> Scoremap:
+    arrays, _ = read_stamped_npz(path)
+    unknown = set(arrays) - _NPZ_KEYS
+    if unknown or "score" not in arrays:
+        wrong = f"unknown array {sorted(unknown)[0]!r}" if unknown else "no array 'score'"
+        raise InputError(path, f"is not a scoremap: {wrong} (score, and optionally sd, cell_size_m, no_go)")
+    score = _plane(path, "score", arrays["score"], None).astype(np.float32)
+    _check_size(path, *score.shape)
+    if "no_go" in arrays:
+        score[_plane(path, "no_go", arrays["no_go"], score.shape).astype(bool)] = np.nan
+    sd = np.zeros_like(score)
+    if "sd" in arrays:
+        sd = _plane(path, "sd", arrays["sd"], score.shape).astype(np.float32)
+    sd[np.isnan(score)] = np.nan
+    cell = arrays.get("cell_size_m", np.array(1.0))
+    if cell.size != 1 or cell.dtype.kind not in "uif" or not (np.isfinite(cell).all() and float(cell.item()) > 0):
+        raise InputError(path, "cell_size_m is not a positive length in metres")
+    cell_m = float(cell.item())
+    grid = Grid(score.shape[0], score.shape[1], Affine(cell_m, 0, 0, 0, -cell_m, 0), None)
+    return Scoremap(score, sd, grid, cell_m)
+
+
+def _plane(path: Path, name: str, array: NDArray[Any], shape: tuple[int, ...] | None) -> NDArray[Any]:
+    if array.ndim != 2 or array.size == 0 or array.dtype.kind not in "uifb":
+        raise InputError(path, f"{name} is not a [rows, cols] array of numbers")
+    if shape is not None and array.shape != shape:
+        raise InputError(path, f"{name} has shape {array.shape}, score has {shape}")
+    return array
+
+
+def _check_size(path: Path, rows: int, cols: int) -> None:
+    if rows * cols > MAX_CELLS:
+        raise InputError(
+            path, f"has {rows} x {cols} cells, more than the {MAX_CELLS} that are planned on", "coarser cells"
+        )

@@ -1,0 +1,96 @@
+"""Windows and blocks of a raster: which pixels to work on, and which to read around them."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+@dataclass(frozen=True)
+class Window:
+    """A rectangle of pixels; it may reach outside the raster, where a reader pads.
+
+    Parameters
+    ----------
+    row, col : int
+        The upper left pixel (negative above or left of the raster).
+    height, width : int
+        The size in pixels.
+    """
+
+    row: int
+    col: int
+    height: int
+    width: int
+
+    def grown(self, halo: int) -> Window:
+        """Return the window with `halo` pixels more on each side."""
+        return Window(self.row - halo, self.col - halo, self.height + 2 * halo, self.width + 2 * halo)
+
+    def clipped(self, shape: tuple[int, int]) -> Window:
+        """Return the part of the window inside a raster of `shape` (rows, cols); empty gives zero size."""
+        top, left = max(self.row, 0), max(self.col, 0)
+        bottom = min(self.row + self.height, shape[0])
+        right = min(self.col + self.width, shape[1])
+        return Window(top, left, max(bottom - top, 0), max(right - left, 0))
+
+    @property
+    def slices(self) -> tuple[slice, slice]:
+        """Index a whole-raster array with this window (only where it lies inside)."""
+        return slice(self.row, self.row + self.height), slice(self.col, self.col + self.width)
+
+
+class ImageSource(Protocol):
+    """An RGB image that can be read window by window: what `texture` works on.
+
+    Attributes
+    ----------
+    shape : (int, int)
+        Rows and columns.
+    pixel_m : (float, float)
+        Ground metres per pixel step along the rows axis and along the columns axis (1.0 each for an
+        unreferenced image: then lengths are pixels).
+    anchor : (int, int)
+        The raster's origin in pixels of a lattice fixed to the coordinate system, so that a crop of a raster
+        shares the lattice of the whole: work aligned to `(pixel + anchor) % n == 0` does not move with the crop.
+    """
+
+    @property
+    def shape(self) -> tuple[int, int]: ...  # noqa: D102
+
+    @property
+    def pixel_m(self) -> tuple[float, float]: ...  # noqa: D102
+
+    @property
+    def anchor(self) -> tuple[int, int]: ...  # noqa: D102
+
+    def read(self, window: Window) -> tuple[NDArray[np.uint8], NDArray[np.bool_]]:
+        """Return `(rgb [height, width, 3] uint8, valid [height, width] bool)`.
+
+        The window may reach outside: there `valid` is False and the colour is arbitrary. Safe to call from
+        several threads at once.
+        """
+        ...
+
+
+def blocks(shape: tuple[int, int], size: int, anchor: tuple[int, int] = (0, 0)) -> Iterator[Window]:
+    """Cut a raster into blocks of at most `size` pixels a side, row by row.
+
+    Cuts fall where `(pixel + anchor) % size == 0`, so blocks of a crop lie on the lattice of the whole.
+    """
+    row_edges = _edges(shape[0], size, anchor[0])
+    col_edges = _edges(shape[1], size, anchor[1])
+    for top, bottom in itertools.pairwise(row_edges):
+        for left, right in itertools.pairwise(col_edges):
+            yield Window(top, left, bottom - top, right - left)
+
+
+def _edges(length: int, size: int, anchor: int) -> list[int]:
+    first = (-anchor) % size
+    inner = range(first, length, size)
+    return sorted({0, length, *inner})

@@ -1,0 +1,1 @@
+"""Texture classes: Gabor bank, colour, patch statistics, K-means, the texture model."""

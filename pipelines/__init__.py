@@ -1,0 +1,1 @@
+"""The flow as workflows (data only), so that `hrt init` can copy them out of a wheel."""

@@ -1,0 +1,146 @@
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import geojson as geojson_peer
+import gpxpy
+import jsonschema
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from lxml import etree
+from mission_samples import (
+    SQUARE,
+    UTM_SOUTH,
+    WEB_MERCATOR,
+    assert_at_cells,
+    cells_of,
+    sample_plan,
+    ungeoreferenced_plan,
+    waypoint_cells,
+)
+from pymavlink import mavwp
+
+from hrt_cli.artifacts.plan import PlanDocument
+from hrt_cli.errors import ArgumentError
+from hrt_cli.missions.formats import FORMATS, export_text, format_for
+from hrt_cli.missions.mission import MissionOptions
+
+HERE = Path(__file__).parent
+XSD = etree.XMLSchema(etree.parse(HERE / "gpx_route.xsd"))
+SCHEMA = json.loads((HERE / "qgc_plan.schema.json").read_text())
+
+MOVES_4 = [(0, 1), (1, 0), (0, -1), (-1, 0)]
+MOVES_8 = [*MOVES_4, (1, 1), (1, -1), (-1, 1), (-1, -1)]
+CRS_REGIONS = {
+    UTM_SOUTH: ((138.1, 143.9), (-79.0, -1.0)),
+    "EPSG:32633": ((12.1, 17.9), (1.0, 83.0)),
+    WEB_MERCATOR: ((-179.9, 179.9), (-80.0, 80.0)),
+    "EPSG:2225": ((-124.0, -119.9), (39.3, 41.9)),
+}
+
+
+@st.composite
+def plans(draw: st.DrawFn) -> PlanDocument:
+    connectivity = draw(st.sampled_from([4, 8]))
+    moves = draw(st.lists(st.sampled_from(MOVES_4 if connectivity == 4 else MOVES_8), max_size=40))
+    crs = draw(st.sampled_from(sorted(CRS_REGIONS)))
+    (west, east), (south, north) = CRS_REGIONS[crs]
+    start = (1000, 1000)
+    home = cells_of(start, moves)[-1] == start
+    return sample_plan(
+        moves,
+        crs=crs,
+        lonlat=(draw(st.floats(west, east)), draw(st.floats(south, north))),
+        cell=draw(st.floats(0.05, 20.0)),
+        turn_deg=draw(st.sampled_from([0.0, 30.0, -117.0])),
+        start=start,
+        connectivity=connectivity,
+        return_home=home,
+    )
+
+
+def read_positions(name: str, text: str, folder: Path) -> list[tuple[float, float]]:
+    """The waypoints' (lon, lat) as each format's own reader gives them, after its validator."""
+    if name == "geojson":
+        collection = geojson_peer.loads(text)
+        assert collection.is_valid, collection.errors()
+        features = json.loads(text)["features"]  # the peer rounds to 6 decimals
+        return [tuple(feature["geometry"]["coordinates"]) for feature in features[1:]]
+    if name == "gpx":
+        XSD.assertValid(etree.fromstring(text.encode()))
+        return [(p.longitude, p.latitude) for p in gpxpy.parse(text).routes[0].points]
+    if name == "qgc":
+        document = json.loads(text)
+        jsonschema.Draft202012Validator(SCHEMA).validate(document)
+        return [(i["params"][5], i["params"][4]) for i in document["mission"]["items"] if i["command"] == 16]
+    path = folder / "mission.waypoints"
+    path.write_text(text)
+    loader = mavwp.MAVWPLoader()
+    loader.load(str(path))
+    return [(loader.wp(i).y, loader.wp(i).x) for i in range(2, loader.count())]
+
+
+@settings(max_examples=40, deadline=None)
+@given(plan=plans())
+def test_every_format_puts_every_waypoint_on_its_cell(
+    plan: PlanDocument, tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    folder = tmp_path_factory.getbasetemp()
+    for name, entry in FORMATS.items():
+        text = export_text(plan, MissionOptions(), entry)
+        assert_at_cells(plan, read_positions(name, text, folder), waypoint_cells(plan))
+
+
+@pytest.mark.parametrize("name", FORMATS)
+def test_text_is_plain_final_and_the_same_each_time(name: str) -> None:
+    options = MissionOptions(name="Nord-Süd")
+    text = export_text(sample_plan(SQUARE), options, FORMATS[name])
+    assert text == export_text(sample_plan(SQUARE), options, FORMATS[name])
+    assert text.isascii()
+    assert text.endswith("\n")
+    assert not text.endswith("\n\n")
+    assert "\r" not in text
+
+
+@pytest.mark.parametrize("name", FORMATS)
+@pytest.mark.parametrize("georeference", ["none", "fake"])
+def test_no_format_takes_a_plan_without_real_coordinates(name: str, georeference: str) -> None:
+    with pytest.raises(ArgumentError, match="georeference"):
+        export_text(ungeoreferenced_plan(georeference), MissionOptions(), FORMATS[name])
+
+
+@pytest.mark.parametrize(
+    ("path", "name"),
+    [
+        ("out/mission.plan", "qgc"),
+        ("MISSION.PLAN", "qgc"),
+        ("m.waypoints", "wpl"),
+        ("m.txt", "wpl"),
+        ("m.gpx", "gpx"),
+        ("m.geojson", "geojson"),
+        ("m.json", "geojson"),
+    ],
+)
+def test_the_suffix_names_the_format(path: str, name: str) -> None:
+    assert format_for(path) is FORMATS[name]
+    assert format_for(Path(path)) is FORMATS[name]
+
+
+def test_a_name_is_stronger_than_the_suffix() -> None:
+    assert format_for("m.gpx", "wpl") is FORMATS["wpl"]
+
+
+@pytest.mark.parametrize(
+    ("path", "name"), [("m.kmz", None), ("m", None), (".gpx", None), ("m.gpx", "gpx2"), ("m.gpx", "")]
+)
+def test_an_unknown_format_is_refused_with_the_known_ones(path: str, name: str | None) -> None:
+    with pytest.raises(ArgumentError, match=r"qgc.*wpl.*gpx.*geojson"):
+        format_for(path, name)
+
+
+def test_no_two_formats_share_a_suffix() -> None:
+    suffixes = [suffix for entry in FORMATS.values() for suffix in entry.suffixes]
+    assert len(suffixes) == len(set(suffixes))
+    assert all(suffix.startswith(".") and suffix == suffix.lower() for suffix in suffixes)

@@ -1,0 +1,171 @@
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+from conftest import ArraySource, patchwork
+from numpy.typing import NDArray
+
+from hrt_cli.errors import ArgumentError
+from hrt_cli.raster.windows import Window
+from hrt_cli.texture.features import Extractor
+from hrt_cli.texture.model import TextureModel, describe
+from hrt_cli.texture.segment import NODATA, SegmentSpec, SegmentStats, fit, predict
+
+
+def classes_of(source: ArraySource, model: TextureModel, **options: int) -> tuple[NDArray[np.uint8], SegmentStats]:
+    out = np.full(source.shape, 77, np.uint8)
+    seen: list[tuple[int, int]] = []
+
+    def sink(window: Window, classes: NDArray[np.uint8]) -> None:
+        assert classes.shape == (window.height, window.width)
+        seen.append((window.row, window.col))
+        out[window.slices] = classes
+
+    stats = predict(source, model, sink, **options)
+    assert seen == sorted(seen)
+    return out, stats
+
+
+@pytest.mark.parametrize("features", ["site", "paper", "texture"])
+def test_the_answer_does_not_depend_on_blocks_workers_or_threads(site: ArraySource, features: str) -> None:
+    spec = SegmentSpec(4, features=features)
+    model = fit(site, spec)
+    expected, stats = classes_of(site, model, block_px=512)
+    for block_px, workers in [(64, 2), (97, 1), (256, 2)]:
+        again, same = classes_of(site, model, block_px=block_px, workers=workers)
+        assert np.array_equal(again, expected)
+        assert same == stats
+    threads = cv2.getNumThreads()
+    try:
+        cv2.setNumThreads(1)
+        second = fit(site, spec, workers=2)
+    finally:
+        cv2.setNumThreads(threads)
+    for name, array in model.to_arrays().items():
+        assert np.array_equal(array, second.to_arrays()[name]), name
+
+
+def test_every_invalid_pixel_and_no_other_is_nodata(site: ArraySource) -> None:
+    classes, stats = classes_of(site, fit(site, SegmentSpec(4)))
+    assert site.valid is not None
+    assert np.array_equal(classes == NODATA, ~site.valid)
+    assert stats.valid_pixels == site.valid.sum() == sum(stats.class_pixels)
+    assert stats.pixels == classes.size
+    assert sum(stats.class_fractions) == pytest.approx(1)
+    assert list(stats.class_pixels) == [int((classes == k).sum()) for k in range(4)]
+
+
+def test_a_patch_less_than_half_valid_far_from_others_is_nodata(site: ArraySource) -> None:
+    model = fit(site, SegmentSpec(4))
+    site.valid = np.zeros(site.shape, bool)
+    site.valid[100:200, 100:200] = True
+    site.valid[20, 20] = True
+    classes, stats = classes_of(site, model)
+    assert classes[20, 20] == NODATA
+    assert stats.valid_pixels == 10_001
+    assert sum(stats.class_pixels) == 10_000
+
+
+def test_a_patchwork_is_told_apart_with_sharp_edges() -> None:
+    source = ArraySource(patchwork(320, 320))
+    classes, _ = classes_of(source, fit(source, SegmentSpec(4)))
+    quarters = [classes[:160, :160], classes[:160, 160:], classes[160:, :160], classes[160:, 160:]]
+    votes = [int(np.bincount(one.ravel()).argmax()) for one in quarters]
+    assert sorted(votes) == [0, 1, 2, 3]
+    for one, vote in zip(quarters, votes, strict=True):
+        assert (one[8:-8, 8:-8] == vote).mean() > 0.97
+
+
+def test_a_crop_with_its_anchor_gets_the_classes_of_the_whole() -> None:
+    whole = ArraySource(patchwork(420, 400), anchor=(5, 6))
+    model = fit(whole, SegmentSpec(4))
+    classes, _ = classes_of(whole, model)
+    top, left = 41, 33
+    crop = ArraySource(whole.rgb[top:, left:], anchor=(5 + top, 6 + left))
+    part, _ = classes_of(crop, model)
+    halo_r, halo_c = Extractor(model.settings, whole.pixel_m).halo_px
+    assert np.array_equal(part[halo_r:, halo_c:], classes[top + halo_r :, left + halo_c :])
+
+
+def test_pixels_under_the_mask_do_not_matter(site: ArraySource) -> None:
+    model = fit(site, SegmentSpec(4))
+    expected, _ = classes_of(site, model)
+    assert site.valid is not None
+    site.rgb = site.rgb.copy()
+    site.rgb[~site.valid] = 255
+    again = fit(site, SegmentSpec(4))
+    assert np.array_equal(again.centroids, model.centroids)
+    assert np.array_equal(classes_of(site, again)[0], expected)
+
+
+def test_seeds_and_canonical_order(site: ArraySource) -> None:
+    one, two = (fit(site, SegmentSpec(4, seed=seed)) for seed in (0, 1))
+    light = one.mean_rgb @ np.array([0.299, 0.587, 0.114])
+    assert (np.diff(light) > 0).all()
+    assert np.allclose(one.mean_rgb, two.mean_rgb, atol=3)
+    table = describe(one)
+    assert [row["id"] for row in table] == [0, 1, 2, 3]
+    assert sum(float(str(row["share"])) for row in table) == pytest.approx(1)
+
+
+def test_grey_images_work(site: ArraySource) -> None:
+    grey = site.rgb.mean(axis=2).astype(np.uint8)
+    site.rgb = np.ascontiguousarray(np.repeat(grey[..., None], 3, axis=2))
+    for features in ("site", "paper", "texture"):
+        model = fit(site, SegmentSpec(3, features=features))
+        assert np.isfinite(model.centroids).all()
+
+
+def test_other_resolution(site: ArraySource) -> None:
+    model = fit(site, SegmentSpec(4))
+    twice = ArraySource(
+        np.kron(site.rgb, np.ones((2, 2, 1), np.uint8)),
+        np.kron(site.valid, np.ones((2, 2), bool)),
+        pixel_m=(0.025, 0.025),
+    )
+    finer, _ = classes_of(twice, model)
+    expected, _ = classes_of(site, model)
+    assert (finer[::2, ::2] == expected).mean() > 0.9
+    site.pixel_m = (0.1, 0.1)
+    with pytest.raises(ArgumentError, match="pixels are needed"):
+        classes_of(site, model)
+
+
+@pytest.mark.parametrize(
+    ("spec", "message"),
+    [
+        (SegmentSpec(1), "2 to 255"),
+        (SegmentSpec(256), "2 to 255"),
+        (SegmentSpec(4, features="nose"), "feature set"),
+        (SegmentSpec(4, rotation="up"), "rotation"),
+        (SegmentSpec(4, wavelengths_m=(0.1,)), "pixels"),
+        (SegmentSpec(4, wavelengths_m=()), "above 0"),
+        (SegmentSpec(4, wavelengths_m=(float("nan"),)), "above 0"),
+    ],
+)
+def test_specifications_out_of_range_are_refused(site: ArraySource, spec: SegmentSpec, message: str) -> None:
+    with pytest.raises(ArgumentError, match=message):
+        fit(site, spec)
+
+
+def test_images_without_textures_are_refused() -> None:
+    flat = np.full((100, 100, 3), 90, np.uint8)
+    with pytest.raises(ArgumentError, match="one texture only"):
+        fit(ArraySource(flat), SegmentSpec(2))
+    with pytest.raises(ArgumentError, match="no valid pixel"):
+        fit(ArraySource(flat, np.zeros((100, 100), bool)), SegmentSpec(2))
+    few = patchwork(100, 100)[:4, :8]
+    with pytest.raises(ArgumentError, match=r"only \d+ distinct textures, K=5 asked"):
+        fit(ArraySource(few), SegmentSpec(5))
+
+
+def test_an_interruption_in_the_sink_ends_the_threads(site: ArraySource) -> None:
+    model = fit(site, SegmentSpec(2))
+
+    def sink(window: Window, classes: NDArray[np.uint8]) -> None:
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        predict(site, model, sink, block_px=32, workers=2)
+    assert len(site.windows) < 30
