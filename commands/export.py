@@ -31,8 +31,20 @@ Example:
     type=click.Choice(["qgc", "wpl", "gpx", "geojson"]),
     help="Mission format. Default: by the output's suffix (.plan, .waypoints, .gpx, .geojson).",
 )
-@click.option("--vehicle", type=click.Choice(["rover", "boat", "submarine"]), default="rover", show_default=True)
-@click.option("--firmware", type=click.Choice(["ardupilot", "px4"]), default="ardupilot", show_default=True)
+@click.option(
+    "--vehicle",
+    type=click.Choice(["rover", "boat", "submarine"]),
+    default="rover",
+    show_default=True,
+    help="What the autopilot drives.",
+)
+@click.option(
+    "--firmware",
+    type=click.Choice(["ardupilot", "px4"]),
+    default="ardupilot",
+    show_default=True,
+    help="What runs on it.",
+)
 @click.option("--speed", "speed_m_s", type=opt.FiniteFloat(0.01, 50), help="Speed in m/s. Default: the plan's.")
 @click.option(
     "--altitude",

@@ -50,7 +50,7 @@ def _lines(facts: dict[str, Any], notes: list[str], refusal: str | None) -> list
         unit = "m on the ground" if facts["crs"] else "px (unreferenced)"
         lines += [
             f"  CRS        {facts['crs']}",
-            f"  pixel      {col_m:.4g} x {row_m:.4g} {unit}; extent {facts['extent_m'][1]:.1f} x {facts['extent_m'][0]:.1f}",
+            f"  pixel      {col_m:.4g} x {row_m:.4g} {unit}",
             f"  valid      about {facts['valid_share']:.0%}",
         ]
     lines += [f"  note       {note}" for note in notes]

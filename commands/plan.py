@@ -27,8 +27,14 @@ Example:
 @opt.output_opt
 @click.option("--start", required=True, help="cell:ROW,COL, lonlat:LON,LAT, xy:X,Y (the map's CRS), or auto.")
 @click.option("--budget", required=True, help="Steps (250), metres (400m) or minutes (15min, with --speed).")
-@click.option("--method", type=click.Choice(METHODS), default="refined", show_default=True)
-@click.option("--objective", type=click.Choice(["total", "discounted"]), default="total", show_default=True)
+@click.option("--method", type=click.Choice(METHODS), default="refined", show_default=True, help="Who plans.")
+@click.option(
+    "--objective",
+    type=click.Choice(["total", "discounted"]),
+    default="total",
+    show_default=True,
+    help="The sum of the scores, or of gamma^t times the score collected at step t.",
+)
 @click.option(
     "--gamma", type=opt.FiniteFloat(0, 1, low_open=True), default=0.99, show_default=True, help="Discount per step."
 )

@@ -18,7 +18,13 @@ Example:
 """
 )
 @click.argument("folder", type=opt.PATH)
-@click.option("--scene", type=click.Choice(["meadow", "wildfire", "reef"]), default="meadow", show_default=True)
+@click.option(
+    "--scene",
+    type=click.Choice(["meadow", "wildfire", "reef"]),
+    default="meadow",
+    show_default=True,
+    help="What grows, burns or lives there.",
+)
 @click.option(
     "--size", "size_m", type=opt.FiniteFloat(5, 500), default=60.0, show_default=True, help="Side of the site, m."
 )

@@ -6,37 +6,60 @@ Exit codes: 0 done or up to date; 1 the input or data was refused; 2 usage; 3 a 
 
 from __future__ import annotations
 
+import errno
 import importlib
+import io
 import os
 import signal
 import sys
 from types import FrameType
-from typing import NoReturn
+from typing import TYPE_CHECKING, NoReturn
 
 import click
 
 from hrt_cli import __version__
 from hrt_cli.errors import HrtError
+from hrt_cli.progress import abandon_stdout, to_stderr
+
+if TYPE_CHECKING:
+    from importlib.metadata import EntryPoint
 
 COMMANDS = {
-    "inspect": ("hrt_commands.inspect:inspect", "Tell what is in a raster and whether it will work."),
-    "synth": ("hrt_commands.synth:synth", "Make a sample site: orthomosaic, truth, DSM, world."),
-    "init": ("hrt_commands.init:init", "Make a project folder with the workflow and its config."),
+    "inspect": (
+        "hrt_commands.inspect:inspect",
+        "Tell what is in a raster, whether `segment` will take it, and roughly what that will cost.",
+    ),
+    "synth": ("hrt_commands.synth:synth", "Make a sample site in FOLDER that looks like an aerial photograph."),
+    "init": (
+        "hrt_commands.init:init",
+        "Make a project FOLDER with the workflow (Makefile and Snakefile) and its config.yaml.",
+    ),
     "segment": ("hrt_commands.segment:segment", "Segment an orthomosaic into texture classes."),
-    "scoremap": ("hrt_commands.scoremap:scoremap", "Turn classes and their scores into a map of grid cells."),
-    "train-plan": ("hrt_commands.train_plan:train_plan", "Train a planning policy by policy gradients."),
-    "plan": ("hrt_commands.plan:plan", "Plan the path that collects the most score in a budget."),
+    "scoremap": ("hrt_commands.scoremap:scoremap", "Turn a class raster and a score table into a scoremap."),
+    "train-plan": (
+        "hrt_commands.train_plan:train_plan",
+        "Train a planning policy by policy gradients, on SCOREMAPS or on generated maps where none is given.",
+    ),
+    "plan": ("hrt_commands.plan:plan", "Plan the path that collects the most score within a budget."),
     "export": ("hrt_commands.export:export", "Write a plan as a mission that an autopilot opens."),
     "evaluate": ("hrt_commands.evaluate:evaluate", "Measure a segmentation or plans against the truth."),
     "verify": ("hrt_commands.verify:verify", "Check artifacts against the provenance they carry."),
 }
-"""Subcommand -> (module:attribute, one-line help). The help stands here so that `hrt --help` imports none of them."""
+"""Subcommand -> (module:attribute, the first paragraph of its help, so that `hrt --help` imports none of them)."""
 
 PLUGIN_GROUP = "hrt.commands"
 
 
-class Terminated(BaseException):
-    """SIGTERM arrived: unwinds the stack so that `finally` blocks clean up."""
+class Stopped(BaseException):
+    """SIGINT or SIGTERM arrived: unwinds the stack so that `finally` blocks clean up.
+
+    Not `KeyboardInterrupt`: when that passes through an `exec` (dataclasses, numba), CPython kills the process with
+    SIGINT at exit even though it was caught.
+    """
+
+    def __init__(self, signum: int) -> None:
+        super().__init__(signum)
+        self.signum = signum
 
 
 class LazyGroup(click.Group):
@@ -46,13 +69,11 @@ class LazyGroup(click.Group):
         return [*COMMANDS, *sorted(set(_plugins()) - set(COMMANDS))]
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:  # noqa: D102
-        target = COMMANDS[cmd_name][0] if cmd_name in COMMANDS else _plugins().get(cmd_name)
-        if target is None:
-            return None
-        module, _, attribute = target.partition(":")
-        command = getattr(importlib.import_module(module), attribute)
-        if not isinstance(command, click.Command):
-            raise HrtError(f"the plugin {cmd_name!r} ({target}) is not a click command")
+        if cmd_name not in COMMANDS:
+            plugin = _plugins().get(cmd_name)
+            return None if plugin is None else _load(plugin)
+        module, _, attribute = COMMANDS[cmd_name][0].partition(":")
+        command: click.Command = getattr(importlib.import_module(module), attribute)
         return command
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:  # noqa: D102
@@ -73,10 +94,13 @@ def cli() -> None:
 
 def main(args: list[str] | None = None) -> NoReturn:
     """Run the program and exit with its code."""
+    _fill_closed_descriptors()
     for stream in (sys.stdout, sys.stderr):
         if stream is not None and hasattr(stream, "reconfigure"):
             stream.reconfigure(errors="backslashreplace")
-    signal.signal(signal.SIGTERM, _on_sigterm)
+    for signum in (signal.SIGINT, signal.SIGTERM):
+        if signal.getsignal(signum) is not signal.SIG_IGN:
+            signal.signal(signum, _stop)
     sys.exit(_run(args))
 
 
@@ -85,36 +109,62 @@ def _run(args: list[str] | None) -> int:
         outcome = cli.main(args=args, prog_name="hrt", standalone_mode=False)
         return outcome if isinstance(outcome, int) else 0
     except click.ClickException as error:
-        error.show()
+        text = io.StringIO()
+        error.show(text)
+        to_stderr(text.getvalue().rstrip())
         return error.exit_code
     except (click.Abort, KeyboardInterrupt):
-        return _fail("interrupted; no output was changed", 128 + signal.SIGINT)
-    except Terminated:
-        return _fail("terminated; no output was changed", 128 + signal.SIGTERM)
+        return _fail("interrupted; no output is half-written", 128 + signal.SIGINT)
+    except Stopped as stop:
+        word = "interrupted" if stop.signum == signal.SIGINT else "terminated"
+        return _fail(f"{word}; no output is half-written", 128 + stop.signum)
     except HrtError as error:
         return _fail(str(error), error.exit_code)
     except MemoryError:
         return _fail("not enough memory for this input", 1)
     except Exception as error:
+        if isinstance(error, OSError) and error.errno == errno.ENOSPC and error.filename is None:
+            abandon_stdout()  # a full disk under an output file is an `OutputError`; this is click printing the help
+            return _fail(f"standard output: {error.strerror}", 1)
         if os.environ.get("HRT_DEBUG"):
             raise
         return _fail(f"internal error: {type(error).__name__}: {error} (set HRT_DEBUG=1 for the traceback)", 1)
 
 
 def _fail(message: str, code: int) -> int:
-    if sys.stderr is not None:
-        print("Error: " + " ".join(message.split()), file=sys.stderr)
+    to_stderr("Error: " + " ".join(message.split()))
     return code
 
 
-def _on_sigterm(signum: int, frame: FrameType | None) -> None:
-    raise Terminated
+def _stop(signum: int, frame: FrameType | None) -> None:
+    raise Stopped(signum)
 
 
-def _plugins() -> dict[str, str]:
+def _plugins() -> dict[str, EntryPoint]:
     from importlib.metadata import entry_points
 
-    return {point.name: point.value for point in entry_points(group=PLUGIN_GROUP)}
+    return {point.name: point for point in entry_points(group=PLUGIN_GROUP)}
+
+
+def _load(plugin: EntryPoint) -> click.Command:
+    try:
+        command = plugin.load()
+    except Exception as error:
+        where = f"{plugin.name!r} ({plugin.value})"
+        raise HrtError(f"the plugin {where} cannot be loaded: {type(error).__name__}: {error}") from error
+    if not isinstance(command, click.Command):
+        raise HrtError(f"the plugin {plugin.name!r} ({plugin.value}) is not a click command")
+    return command
+
+
+def _fill_closed_descriptors() -> None:
+    # Where the caller closed a standard stream (`>&-`), the next file opened would get its number, and with it
+    # whatever a C library prints.
+    for descriptor in (0, 1, 2):
+        try:
+            os.fstat(descriptor)
+        except OSError:
+            os.open(os.devnull, os.O_RDWR)
 
 
 if __name__ == "__main__":

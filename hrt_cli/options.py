@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import math
+import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TypeVar
@@ -13,6 +14,8 @@ import click
 from hrt_cli.progress import Console
 
 F = TypeVar("F", bound=Callable[..., Any])
+
+_BANDS = re.compile(r"[1-9][0-9]{0,4}(,[1-9][0-9]{0,4})*")
 
 PATH = click.Path(path_type=Path)
 
@@ -32,6 +35,9 @@ class FiniteFloat(click.ParamType):  # type: ignore[type-arg]  # generic only fr
         try:
             number = float(value)
         except ValueError:
+            number = None
+        # `float` also takes 1_000 and the digits of other scripts.
+        if number is None or not str(value).isascii() or "_" in str(value):
             self.fail(f"{value!r} is not a number", param, ctx)
         if not math.isfinite(number):
             self.fail(f"{value!r} is not a finite number", param, ctx)
@@ -126,9 +132,8 @@ backdrop_opt = click.option("--backdrop", type=PATH, help="Orthomosaic to draw t
 
 
 def _bands(text: str | None) -> tuple[int, ...]:
-    if not text:
+    if text is None:
         return ()
-    try:
-        return tuple(int(part) for part in text.split(","))
-    except ValueError:
-        raise click.BadParameter(f"{text!r} is not a list of band numbers such as 1,2,3") from None
+    if not _BANDS.fullmatch(text):
+        raise click.BadParameter(f"{text!r} is not a list of band numbers such as 1,2,3")
+    return tuple(int(part) for part in text.split(","))

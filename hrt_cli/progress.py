@@ -42,12 +42,12 @@ class Console:
     def note(self, text: str) -> None:
         """Tell the user something on stderr that is not the result."""
         if not self.quiet:
-            _to_stderr(text)
+            to_stderr(text)
 
     def detail(self, text: str) -> None:
         """Tell the user something that only `--verbose` asks for."""
         if self.verbose:
-            _to_stderr(text)
+            to_stderr(text)
 
     def result(self, line: str, data: dict[str, Any], *, only_here: bool = False) -> None:
         """Print the result: `line`, or with `--json` the JSON object `data`.
@@ -56,15 +56,23 @@ class Console:
         ----------
         only_here : bool
             The result is in no file: then failing to print it is an error. Otherwise the work is done and saved,
-            and a full or closed stdout is only worth a note.
+            and a full stdout is only worth a note. A reader that stops listening (`hrt ... | head`) is no error.
+
+        Raises
+        ------
+        OutputError
+            stdout is full or closed, and the result is only there.
         """
         text = json.dumps(data, allow_nan=False) if self.as_json else line
+        if sys.stdout is None:
+            if only_here:
+                raise OutputError("standard output: is closed, and the result is in no file")
+            return
         try:
-            if sys.stdout is not None:
-                sys.stdout.write(text + "\n")
-                sys.stdout.flush()
+            sys.stdout.write(text + "\n")
+            sys.stdout.flush()
         except OSError as error:
-            _abandon_stdout()
+            abandon_stdout()
             if only_here and not isinstance(error, BrokenPipeError):
                 raise OutputError(f"standard output: {error.strerror}") from error
             if not isinstance(error, BrokenPipeError):
@@ -87,7 +95,8 @@ class Console:
             yield update
 
 
-def _to_stderr(text: str) -> None:
+def to_stderr(text: str) -> None:
+    """Print a line on stderr, or drop it where stderr is closed or full."""
     if sys.stderr is not None:
         try:
             print(text, file=sys.stderr, flush=True)
@@ -95,8 +104,11 @@ def _to_stderr(text: str) -> None:
             sys.stderr = open(os.devnull, "w")  # noqa: SIM115 - nobody listens any more
 
 
-def _abandon_stdout() -> None:
-    # Python flushes stdout once more at exit; pointing it elsewhere keeps that from failing a second time.
+def abandon_stdout() -> None:
+    """Give stdout up after a failed write.
+
+    Python flushes it once more at exit; pointing it elsewhere keeps that from failing a second time.
+    """
     devnull = os.open(os.devnull, os.O_WRONLY)
     os.dup2(devnull, 1)
     os.close(devnull)

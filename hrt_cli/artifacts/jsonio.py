@@ -6,8 +6,10 @@ refused, and a pydantic model with unknown keys forbidden says what the document
 
 from __future__ import annotations
 
+import itertools
 import json
 import math
+from collections import Counter
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -16,6 +18,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 from hrt_cli.errors import InputError
 
 MAX_BYTES = 256 * 2**20
+MAX_DEPTH = 64
 
 
 class Document(BaseModel):
@@ -23,6 +26,8 @@ class Document(BaseModel):
 
     model_config = ConfigDict(extra="forbid", strict=True, frozen=True, allow_inf_nan=False)
 
+
+_TOO_DEEP = f"is nested deeper than {MAX_DEPTH} levels"
 
 M = TypeVar("M", bound=BaseModel)
 
@@ -66,8 +71,7 @@ def parse_strict(path: Path, text: str) -> Any:
     def pairs(items: list[tuple[str, Any]]) -> dict[str, Any]:
         seen = dict(items)
         if len(seen) != len(items):
-            keys = [key for key, _ in items]
-            twice = next(key for key in keys if keys.count(key) > 1)
+            ((twice, _),) = Counter(key for key, _ in items).most_common(1)
             raise InputError(path, f"the key {twice!r} stands twice in one object")
         return seen
 
@@ -81,13 +85,16 @@ def parse_strict(path: Path, text: str) -> Any:
         return value
 
     try:
-        return json.loads(text, object_pairs_hook=pairs, parse_constant=constant, parse_float=real)
+        document = json.loads(text, object_pairs_hook=pairs, parse_constant=constant, parse_float=real)
     except json.JSONDecodeError as error:
         raise InputError(path, f"is not valid JSON: {error.msg} at line {error.lineno}") from error
     except RecursionError as error:
-        raise InputError(path, "is nested too deep to be a document of ours") from error
+        raise InputError(path, _TOO_DEEP) from error
     except ValueError as error:
         raise InputError(path, f"is not valid JSON: {error}") from error
+    if _is_deeper(document, MAX_DEPTH):
+        raise InputError(path, _TOO_DEEP)
+    return document
 
 
 def to_text(document: dict[str, Any]) -> str:
@@ -99,6 +106,17 @@ def to_text(document: dict[str, Any]) -> str:
 def canonical(value: Any) -> bytes:
     """Return the bytes that hashes are taken over: sorted keys, no white space."""
     return json.dumps(value, sort_keys=True, separators=(",", ":"), allow_nan=False).encode()
+
+
+def _is_deeper(value: Any, depth: int) -> bool:
+    # Level by level: what the parser could just recurse through must not overflow whatever recurses next.
+    level = [value]
+    for _ in range(depth):
+        inside = [node.values() if isinstance(node, dict) else node for node in level if isinstance(node, dict | list)]
+        level = list(itertools.chain.from_iterable(inside))
+        if not level:
+            return False
+    return True
 
 
 def _member(value: Any) -> str:

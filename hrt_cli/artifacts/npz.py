@@ -5,6 +5,8 @@ from __future__ import annotations
 import hashlib
 import io
 import math
+import struct
+import tokenize
 import zipfile
 import zlib
 from pathlib import Path
@@ -16,7 +18,22 @@ from numpy.typing import NDArray
 
 from hrt_cli.errors import InputError
 
-MAX_BYTES = 4 * 2**30
+MAX_BYTES = 512 * 2**20
+_COMPRESSIONS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
+_DAMAGE = (
+    zipfile.BadZipFile,
+    zlib.error,
+    struct.error,
+    tokenize.TokenError,
+    SyntaxError,
+    EOFError,
+    NotImplementedError,
+    ArithmeticError,
+    ValueError,
+    RuntimeError,
+)
+"""What zipfile and NumPy raise for damaged archives and array headers."""
+_END_RECORD = struct.Struct("<4s4H2LH")
 _EPOCH = (1980, 1, 1, 0, 0, 0)
 
 Arrays = dict[str, NDArray[Any]]
@@ -26,7 +43,7 @@ def write_npz(path: Path, arrays: Arrays) -> None:
     """Write arrays so that equal arrays give equal bytes (sorted names, a fixed date, a fixed compression)."""
     with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED, compresslevel=6) as archive:
         for name in sorted(arrays):
-            array = np.asarray(arrays[name])
+            array = np.asarray(arrays[name], order="C")
             if array.dtype.hasobject:
                 raise ValueError(f"{name}: arrays of Python objects cannot be written")
             buffer = io.BytesIO()
@@ -51,12 +68,14 @@ def read_npz(path: Path, max_bytes: int = MAX_BYTES) -> Arrays:
     try:
         with zipfile.ZipFile(path) as archive:
             entries = archive.infolist()
+            if len(entries) != _entry_count(path):
+                raise InputError(path, "does not hold the number of arrays that it says: damaged")
             if len({entry.filename for entry in entries}) != len(entries):
                 raise InputError(path, "holds two arrays of the same name")
             if sum(entry.file_size for entry in entries) > max_bytes:
                 raise InputError(path, f"unpacks to more than {max_bytes} bytes")
             return {entry.filename.removesuffix(".npy"): _read(path, archive, entry) for entry in entries}
-    except (zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, ValueError, RuntimeError) as error:
+    except _DAMAGE as error:
         raise InputError(path, f"is not a readable NPZ file: {error}") from error
     except OSError as error:
         raise InputError(path, f"cannot be read: {error.strerror or error}") from error
@@ -72,28 +91,44 @@ def content_sha256(arrays: Arrays) -> str:
     return digest.hexdigest()
 
 
+def _entry_count(path: Path) -> int:
+    """Return the number of members in the record that ends the archive (APPNOTE.TXT 4.3.16).
+
+    zipfile does not look at it, and a flipped bit in a length can make one entry of the directory swallow the next.
+    """
+    with open(path, "rb") as file:
+        file.seek(-_END_RECORD.size, io.SEEK_END)
+        signature, _, _, _, count, _, _, _ = _END_RECORD.unpack(file.read(_END_RECORD.size))
+    if signature != b"PK\x05\x06":
+        raise InputError(path, "has bytes after its end")
+    return int(count)
+
+
 def _read(path: Path, archive: zipfile.ZipFile, entry: zipfile.ZipInfo) -> NDArray[Any]:
     if not entry.filename.endswith(".npy"):
         raise InputError(path, f"holds {entry.filename!r}, which is not an array")
-    with archive.open(entry) as member:
-        version = npy.read_magic(member)
-        shape, dtype = _header(member, version)
-        if dtype.hasobject:
-            raise InputError(path, f"{entry.filename} holds Python objects, which are never unpickled")
-        stored = entry.file_size - member.tell()
-        if math.prod(shape) * dtype.itemsize != stored:
-            raise InputError(path, f"{entry.filename} promises shape {shape}, but holds {stored} bytes")
-    with archive.open(entry) as member:
-        # Reading to the end makes zipfile compare the checksum.
-        array: NDArray[Any] = npy.read_array(io.BytesIO(member.read()), allow_pickle=False)
+    if entry.compress_type not in _COMPRESSIONS:
+        raise InputError(path, f"{entry.filename} is packed in a way that NumPy does not write")
+    # Reading to the end makes zipfile compare the checksum, before anything is made of the header.
+    member = io.BytesIO(archive.read(entry))
+    shape, dtype = _header(member, npy.read_magic(member))
+    if dtype.hasobject:
+        raise InputError(path, f"{entry.filename} holds Python objects, which are never unpickled")
+    stored = entry.file_size - member.tell()
+    if math.prod(shape) * dtype.itemsize != stored or (dtype.itemsize == 0 and math.prod(shape) > 1):
+        raise InputError(path, f"{entry.filename} promises shape {shape}, but holds {stored} bytes")
+    member.seek(0)
+    array: NDArray[Any] = npy.read_array(member, allow_pickle=False)
     return array
 
 
 def _header(member: IO[bytes], version: tuple[int, int]) -> tuple[tuple[int, ...], np.dtype[Any]]:
-    if version == (1, 0):
-        shape, _, dtype = npy.read_array_header_1_0(member)
-    elif version == (2, 0):
-        shape, _, dtype = npy.read_array_header_2_0(member)
-    else:
+    readers = {(1, 0): npy.read_array_header_1_0, (2, 0): npy.read_array_header_2_0}
+    if version not in readers:
         raise ValueError(f"array format {version} is not supported")
+    try:
+        shape, _, dtype = readers[version](member)
+    except MemoryError as error:
+        # Python's parser says so of any deep nesting, however short the text.
+        raise ValueError("an array's header is nested too deep") from error
     return shape, dtype

@@ -39,6 +39,8 @@ def png_provenance(path: Path) -> Provenance | None:
     ours = [data for kind, data in chunks if _is_ours(kind, data)]
     if not ours:
         return None
+    if len(ours) > 1:
+        raise InputError(path, "carries two provenance records")
     try:
         text = ours[0].removeprefix(_KEYWORD).decode("ascii")
     except UnicodeDecodeError as error:
@@ -62,6 +64,8 @@ def _chunks(path: Path, png: bytes) -> Iterator[tuple[bytes, bytes]]:
         yield kind, data
         at += 12 + length
         if kind == _END:
+            if at != len(png):
+                raise InputError(path, "has bytes after its end")
             return
     raise InputError(path, "is cut short")
 

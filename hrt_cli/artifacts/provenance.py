@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import os
 from pathlib import Path
 from typing import Any
 
@@ -73,7 +74,9 @@ def record(stage: str, stage_version: int, parameters: dict[str, Any], inputs: d
     for role, path in inputs.items():
         if not path.is_file():
             raise InputError(path, "no such file")
-        records.append(InputRecord(role=role, name=path.name, sha256=file_sha256(path), size=path.stat().st_size))
+        # A name that is not UTF-8 has no place in JSON.
+        name = os.fsencode(path.name).decode("utf-8", "backslashreplace")
+        records.append(InputRecord(role=role, name=name, sha256=file_sha256(path), size=path.stat().st_size))
     what = {
         "stage": stage,
         "stage_version": stage_version,

@@ -3,7 +3,10 @@
 Work goes into a private folder beside the target (`.<name>.hrt-XXXXXXXX/`, same file system). When it is done the
 file is re-opened and checked, synced, stale side-cars of the old file are deleted, and `os.replace` puts the new one
 in its place. The folder holds a locked file as long as its process lives, so that the next run can tell a folder left
-by a killed process (the lock is free) from one in use, and sweep it.
+by a killed process (the lock is free) from one in use, and sweep it. Where the file system has no locks nothing is
+swept.
+
+A target that is a symbolic link is replaced by the new file; what the link points to is left alone.
 """
 
 from __future__ import annotations
@@ -14,12 +17,14 @@ import os
 import shutil
 import tempfile
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 
 from hrt_cli.errors import OutputError
 
 _LOCK = ".lock"
+_RANDOM_CHARS = 8  # of the names that `tempfile.mkdtemp` makes
+_MAX_NAME_BYTES = 255
 _STALE_SIDECARS = (".msk", ".aux.xml", ".ovr", ".ovr.msk", ".msk.ovr")
 
 
@@ -42,24 +47,14 @@ def publishing(target: Path, check: Callable[[Path], object]) -> Iterator[Path]:
     OutputError
         The folder cannot be written, the disk is full, or `check` found the file damaged.
     """
-    folder = target.parent
     try:
-        sweep(target)
-        # mkdtemp makes 0700 folders; the files inside are created with the user's umask.
-        work = Path(tempfile.mkdtemp(prefix=f".{target.name}.hrt-", dir=folder))
-    except OSError as error:
-        raise output_error(target, error) from error
-    try:
-        with open(work / _LOCK, "wb") as lock:
-            fcntl.flock(lock, fcntl.LOCK_EX)
+        with _work_folder(target) as work:
             draft = work / target.name
             yield draft
             check(draft)
             _replace(draft, target, work)
     except OSError as error:
         raise output_error(target, error) from error
-    finally:
-        shutil.rmtree(work, ignore_errors=True)
 
 
 def output_error(target: Path, error: OSError) -> OutputError:
@@ -71,8 +66,9 @@ def output_error(target: Path, error: OSError) -> OutputError:
 
 def sweep(target: Path) -> None:
     """Delete work folders for `target` that a killed process left behind; leave those in use alone."""
-    for work in target.parent.glob(f".{_glob_escaped(target.name)}.hrt-*"):
-        with suppress(OSError), open(work / _LOCK, "rb") as lock:
+    for work in target.parent.glob(f"{_glob_escaped(_work_prefix(target))}{'?' * _RANDOM_CHARS}"):
+        # A process killed at its first or last step leaves a folder without a lock: then it is made here, and is free.
+        with suppress(OSError), open(work / _LOCK, "ab") as lock:
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
             shutil.rmtree(work, ignore_errors=True)
 
@@ -83,17 +79,53 @@ def check_target(target: Path, inputs: list[Path]) -> None:
     Raises
     ------
     OutputError
-        The target is an input (also by link), is a folder, or lies in a folder that is absent or read-only.
+        The target is an input (also by link), is a folder or a device, has too long a name, or lies in a folder
+        that is absent or read-only.
     """
     for path in inputs:
         if target.exists() and path.exists() and os.path.samefile(target, path):
             raise OutputError(f"{target}: the output is also an input ({path}); choose another name")
     if target.is_dir():
         raise OutputError(f"{target}: is a folder; give the name of a file")
+    if (target.exists() and not target.is_file()) or target.parent.resolve() == Path("/dev"):
+        raise OutputError(f"{target}: is a device or a pipe; give the name of a file")
+    if len(os.fsencode(_work_prefix(target))) + _RANDOM_CHARS > _MAX_NAME_BYTES:
+        raise OutputError(f"{target}: the name is too long; choose a shorter one")
     if not target.parent.is_dir():
         raise OutputError(f"{target}: the folder {target.parent} does not exist; make it first")
-    if not os.access(target.parent, os.W_OK | os.X_OK):
+    if not os.access(target.parent, os.R_OK | os.W_OK | os.X_OK):
         raise OutputError(f"{target}: the folder {target.parent} cannot be written")
+
+
+@contextmanager
+def _work_folder(target: Path) -> Iterator[Path]:
+    """Make a locked work folder for `target`, after sweeping dead ones; delete it in the end, whatever happens."""
+    with ExitStack() as stack:
+        with _alone_in(target.parent):
+            sweep(target)
+            # mkdtemp makes 0700 folders; the files inside are created with the user's umask.
+            work = Path(tempfile.mkdtemp(prefix=_work_prefix(target), dir=target.parent))
+            stack.callback(shutil.rmtree, work, ignore_errors=True)
+            lock = stack.enter_context(open(work / _LOCK, "ab"))
+            with suppress(OSError):
+                fcntl.flock(lock, fcntl.LOCK_EX)
+        yield work
+
+
+@contextmanager
+def _alone_in(folder: Path) -> Iterator[None]:
+    """Let one process at a time sweep and make work folders in `folder`: none is swept before it is locked."""
+    descriptor = os.open(folder, os.O_RDONLY)
+    try:
+        with suppress(OSError):
+            fcntl.flock(descriptor, fcntl.LOCK_EX)
+        yield
+    finally:
+        os.close(descriptor)
+
+
+def _work_prefix(target: Path) -> str:
+    return f".{target.name}.hrt-"
 
 
 def _replace(draft: Path, target: Path, work: Path) -> None:

@@ -7,6 +7,7 @@ expected score, `{"mean": .8}` likewise, `{"alpha": 4, "beta": 1}` a Beta distri
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -20,6 +21,7 @@ from hrt_cli.errors import InputError
 PRIOR_STRENGTH = 2.0
 """Weight, in pseudo-metres, of an expected score given without its own alpha and beta: that of Beta(1, 1)."""
 _AGREE = 1e-3
+_CLASS_ID = re.compile("0|[1-9][0-9]{0,2}")
 
 
 @dataclass(frozen=True)
@@ -97,8 +99,8 @@ class _Table(Document):
     @classmethod
     def _keys_are_ids(cls, value: dict[str, _Entry]) -> dict[str, _Entry]:
         for key in value:
-            if not (key.isascii() and key.isdigit() and str(int(key)) == key and int(key) < 255):
-                raise ValueError(f"{key!r} is not a class id from 0 to 254")
+            if not (_CLASS_ID.fullmatch(key) and int(key) < 255):
+                raise ValueError(f"{key[:20]!r} is not a class id from 0 to 254")
         return value
 
 

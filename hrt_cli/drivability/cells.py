@@ -19,6 +19,13 @@ NODATA = 255
 MIN_COVERED = 0.5
 """Share of a cell that must have a class for the cell to be entered: most of it was seen."""
 
+# Rows are read in bands that fit in little memory however wide the raster is.
+_BAND_ROWS = 512
+_BAND_PX = 2**24
+
+# Classes that all score just the limit make a cell that does: the last bits of the mean must not say otherwise.
+_ROUNDING = 1e-9
+
 ReadClasses = Callable[[Window], NDArray[np.uint8]]
 
 
@@ -72,7 +79,7 @@ def cover(fine: Grid, read: ReadClasses, cell_m: float, progress: Progress = sil
     step_row, step_col = cell_m / row_m, cell_m / col_m
     cell_of_col = np.minimum(((np.arange(fine.cols) + 0.5) / step_col).astype(np.int64), grid.cols - 1)
     counts = np.zeros((0, grid.rows, grid.cols), np.int32)
-    band_rows = max(1, min(512, 2**24 // max(fine.cols, 1)))
+    band_rows = max(1, min(_BAND_ROWS, _BAND_PX // fine.cols))
     for top in range(0, fine.rows, band_rows):
         height = min(band_rows, fine.rows - top)
         classes = read(Window(top, 0, height, fine.cols))
@@ -106,7 +113,7 @@ def score_cells(
         variance += (share * scores[index].sd) ** 2
     no_go = total < MIN_COVERED * covered.pixels_per_cell
     if no_go_below is not None:
-        no_go |= score < no_go_below
+        no_go |= score < no_go_below - _ROUNDING
     sd = np.sqrt(variance)
     score = score + explore * sd
     score[no_go] = np.nan

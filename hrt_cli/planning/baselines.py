@@ -7,9 +7,9 @@ way home included where the robot must return.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from hrt_cli.planning.jit import kernel, lean_kernel
 from hrt_cli.planning.walk import Field, capacity, may_step, next_uniform, walk_cost, walk_value
 
 WINDOW_TRIALS = 2_000_000
@@ -19,7 +19,7 @@ WINDOW_FINALISTS = 24
 """Windows whose walk is really made, out of the estimated ones."""
 
 
-@njit(cache=True, nogil=True)
+@lean_kernel
 def greedy_step(field: Field, cell: int, left: float, seen: NDArray[np.bool_], state: NDArray[np.uint64]) -> int:
     """Return the allowed move to the best unvisited neighbour, -1 when there is no allowed move.
 
@@ -41,7 +41,7 @@ def greedy_step(field: Field, cell: int, left: float, seen: NDArray[np.bool_], s
     return best
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def finish_greedily(field: Field, path: NDArray[np.int64], n: int, left: float, state: NDArray[np.uint64]) -> int:
     """Extend a walk of `n` cells with greedy moves until nothing fits `left`; return the number of cells."""
     seen = np.zeros(field.free.size, np.bool_)
@@ -58,7 +58,7 @@ def finish_greedily(field: Field, path: NDArray[np.int64], n: int, left: float, 
     return n
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def spend_rest(field: Field, walk: NDArray[np.int64], seed: int) -> NDArray[np.int64]:
     """Return `walk` extended with greedy moves until nothing fits its budget any more."""
     path = np.zeros(capacity(field), np.int64)
@@ -68,7 +68,7 @@ def spend_rest(field: Field, walk: NDArray[np.int64], seed: int) -> NDArray[np.i
     return path[: finish_greedily(field, path, walk.size, left, state)]
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def greedy_walk(field: Field, seed: int) -> NDArray[np.int64]:
     """Return the walk that always takes the best neighbouring cell."""
     path = np.zeros(capacity(field), np.int64)
@@ -77,7 +77,7 @@ def greedy_walk(field: Field, seed: int) -> NDArray[np.int64]:
     return path[: finish_greedily(field, path, 1, field.limit, state)]
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def random_walk(field: Field, seed: int) -> NDArray[np.int64]:
     """Return a walk whose moves are drawn evenly from the allowed ones."""
     path = np.zeros(capacity(field), np.int64)
@@ -99,7 +99,7 @@ def random_walk(field: Field, seed: int) -> NDArray[np.int64]:
     return path[:n]
 
 
-@njit(cache=True, nogil=True)
+@lean_kernel
 def _route(
     field: Field, source: int, target: int, stamp: NDArray[np.int64], mark: int, back: NDArray[np.int64],
     queue: NDArray[np.int64],
@@ -123,7 +123,7 @@ def _route(
     return False
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def visit_in_order(field: Field, order: NDArray[np.int64], seed: int) -> NDArray[np.int64]:
     """Return a walk that goes through the cells of `order` by shortest paths until the budget is spent.
 
@@ -190,7 +190,8 @@ def lawnmower(field: Field, seed: int = 0) -> NDArray[np.int64]:
     below = _sweep(row + 1, 0, height, field.width, False, True, False, field.width)
     rest = np.arange(row * field.width, row * field.width + col, dtype=np.int64)[::-1]
     above = _sweep(0, 0, row, field.width, True, False, False, field.width)
-    return visit_in_order(field, _useful(field, np.concatenate([first, below, rest, above])), seed)
+    order = np.concatenate([first, below, rest, above])
+    return np.asarray(visit_in_order(field, _useful(field, order), seed))
 
 
 def spiral(field: Field, seed: int = 0) -> NDArray[np.int64]:
@@ -208,10 +209,10 @@ def spiral(field: Field, seed: int = 0) -> NDArray[np.int64]:
     at_row, at_col = np.array(rows) + row, np.array(cols) + col
     inside = (at_row >= 0) & (at_row < height) & (at_col >= 0) & (at_col < field.width)
     order = (at_row * field.width + at_col)[inside].astype(np.int64)
-    return visit_in_order(field, _useful(field, order), seed)
+    return np.asarray(visit_in_order(field, _useful(field, order), seed))
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _estimate_windows(
     table: NDArray[np.float64], steps: NDArray[np.float64], budget: float, heights: NDArray[np.int64], stride: int
 ) -> NDArray[np.float64]:

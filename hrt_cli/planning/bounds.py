@@ -9,9 +9,9 @@ from __future__ import annotations
 import heapq
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from hrt_cli.planning.jit import kernel
 from hrt_cli.planning.walk import Field, capacity
 
 ROUNDING = 1e-9
@@ -20,10 +20,11 @@ ROUNDING = 1e-9
 MAX_LAYER_CELLS = 60_000_000
 """Cells times moves above which the time-expanded relaxation does not fit memory (8 bytes each)."""
 
-POLYAK_START = 1.0
-POLYAK_SHRINK = 0.7
-POLYAK_PATIENCE = 5
-"""Polyak step factor, what it is multiplied with after `POLYAK_PATIENCE` steps without a better bound."""
+FIRST_STEP, STEP_GROWTH, STEP_SHRINK, PATIENCE = 1.0, 1.1, 0.7, 5
+"""Polyak step factor; its growth with each better bound and its shrinkage after `PATIENCE` steps without."""
+
+MEMORY = 0.8
+"""Weight of the past in the running mean of visits that gives the direction (volume algorithm)."""
 
 NOWHERE = -1e300
 
@@ -33,7 +34,7 @@ def bipartite(field: Field) -> bool:
     return field.exact and not bool(np.isfinite(field.reach).all(axis=0).any())
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _best_in_slots(value: NDArray[np.float64], release: NDArray[np.float64], first: int, last: int, stride: int,
                    gamma: float) -> float:  # fmt: skip
     """Give each slot first, first + stride, ... <= last the best released cell; cells sorted by release."""
@@ -49,7 +50,7 @@ def _best_in_slots(value: NDArray[np.float64], release: NDArray[np.float64], fir
     return total
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _best_in_windows(value: NDArray[np.float64], release: NDArray[np.float64], last: int, stride: int) -> float:
     """Pick cells whose slots are release..last - release; cells sorted by release, latest first."""
     heap = [0.0]
@@ -104,7 +105,7 @@ def _fewest_moves(field: Field) -> NDArray[np.float64]:
     return np.asarray(np.ceil(field.reach.min(axis=0) / field.costs.max() - ROUNDING))
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _fill_layers(
     layers: NDArray[np.float64],
     offsets: NDArray[np.int64],
@@ -149,7 +150,7 @@ def _fill_layers(
                 target[c] = max(target[c], max(a, b) + gain[c])
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _trace(
     layers: NDArray[np.float64],
     offsets: NDArray[np.int64],
@@ -186,9 +187,10 @@ def _best_end(field: Field, layers: NDArray[np.float64]) -> tuple[int, int]:
 def lagrangian_bound(field: Field, known: float, gamma: float = 1.0, iterations: int = 100) -> float:
     """Return the smallest Lagrangian bound met in `iterations` subgradient steps.
 
-    For prices u >= 0, no walk w collects more than sum(u) + max over walks of sum_t max(gamma^t q - u, 0) along
-    the walk: "a cell pays once" is relaxed and u is what a repeated visit forgoes. Steps follow Polyak (1969),
-    from u = max(q - tau, 0) with tau the least of the best T + 1 cells.
+    For prices u >= 0, no walk collects more than sum(u) + max over walks of sum_t max(gamma^t q - u, 0) along the
+    walk: "a cell pays once" is relaxed and u is what a repeated visit forgoes. The steps follow the volume
+    algorithm (Barahona and Anbil 2000): Polyak's length from the best prices so far, along the running mean of
+    visits, from u = max(q - tau, 0) with tau the least of the best T + 1 cells.
 
     Parameters
     ----------
@@ -211,27 +213,26 @@ def lagrangian_bound(field: Field, known: float, gamma: float = 1.0, iterations:
         return float("inf")
     layers = np.empty((cells, field.free.size))
     ranked = np.sort(field.value[field.free])[::-1]
-    price = np.maximum(field.value - ranked[min(cells, ranked.size) - 1], 0.0)
+    price = centre = np.maximum(field.value - ranked[min(cells, ranked.size) - 1], 0.0)
     visits = np.zeros(field.free.size)
-    best, best_price, factor, stale = float("inf"), price, POLYAK_START, 0
+    mean = np.zeros(0)
+    best, step, stale = float("inf"), FIRST_STEP, 0
     for _ in range(iterations):
         _fill_layers(layers, field.offsets, field.width, field.start, field.value, price, field.free, gamma)
         end, last = _best_end(field, layers)
         bound = float(price.sum() + layers[end, last])
+        _trace(layers[: end + 1], field.offsets, last, field.value, price, gamma, visits)
+        mean = MEMORY * mean + (1.0 - MEMORY) * visits if mean.size else visits.copy()
         if bound < best:
-            best, best_price, stale = bound, price, 0
+            best, centre, stale, step = bound, price, 0, step * STEP_GROWTH
         else:
             stale += 1
-            if stale >= POLYAK_PATIENCE:
-                factor, stale, price = factor * POLYAK_SHRINK, 0, best_price
-                continue
-        _trace(layers[: end + 1], field.offsets, last, field.value, price, gamma, visits)
-        slope = np.where((price > 0) | (visits > 1), 1.0 - visits, 0.0)
-        slope[~field.free] = 0.0
+            step *= STEP_SHRINK if stale % PATIENCE == 0 else 1.0
+        slope = np.where(field.free & ((centre > 0.0) | (mean > 1.0)), 1.0 - mean, 0.0)
         steepness = float(slope @ slope)
-        if steepness == 0.0 or bound <= known:
+        if steepness == 0.0 or best <= known:
             break
-        price = np.clip(price - factor * (bound - known) / steepness * slope, 0.0, field.value)
+        price = np.clip(centre - step * (best - known) / steepness * slope, 0.0, field.value)
     return best * (1.0 + ROUNDING)
 
 

@@ -7,6 +7,9 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
+BARE_SHARE = 0.6
+"""Share of the Gaussian mixtures whose low ground is worth nothing at all: no gradient leads across it."""
+
 Scores = NDArray[np.float64]
 
 
@@ -31,14 +34,15 @@ def _stretch(values: Scores) -> Scores:
 
 
 def gaussians(shape: tuple[int, int], rng: np.random.Generator) -> Scores:
-    """Return a mixture of 3 to 12 Gaussian hot spots of different widths."""
+    """Return a mixture of 3 to 12 Gaussian hot spots of different widths, often on ground worth nothing."""
     rows, cols = np.indices(shape)
     total = np.zeros(shape)
     for _ in range(int(rng.integers(3, 13))):
         row, col = rng.uniform(0, shape[0]), rng.uniform(0, shape[1])
         spread = rng.uniform(0.03, 0.14) * min(shape)
         total += rng.uniform(0.3, 1.0) * np.exp(-((rows - row) ** 2 + (cols - col) ** 2) / (2 * spread**2))
-    return _stretch(total)
+    floor = rng.uniform(0.1, 0.4) if rng.random() < BARE_SHARE else 0.0
+    return _stretch(np.maximum(_stretch(total) - floor, 0.0))
 
 
 def noise(shape: tuple[int, int], rng: np.random.Generator) -> Scores:

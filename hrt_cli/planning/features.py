@@ -10,9 +10,9 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from hrt_cli.planning.jit import kernel, lean_kernel
 from hrt_cli.planning.walk import Field
 
 RING = 8
@@ -21,10 +21,13 @@ RING = 8
 TIED = 5
 """Headings a weight tells apart: ahead, ahead to a side, abeam, behind to a side, behind."""
 
-BLOCK_SIZES = {"rings": (1, 3, 9, 27), "manjanna24": (1, 3)}
-"""Side in cells of the square blocks of each ring, by layout; each ring lies one block away from the robot."""
+LAYOUTS = ("rings", "manjanna24")
 
-LAYOUTS = tuple(BLOCK_SIZES)
+BLOCK_SIZES = {"rings": (1, 3, 9), "manjanna24": (1, 3)}
+"""Side in cells of the blocks whose sums are kept, by layout; each ring lies one block away from the robot."""
+
+WIDEST = {"rings": 27, "manjanna24": 3}
+"""Side of the blocks of the widest ring; those of 27 are read as nine sums of 9, never kept."""
 
 FAR_EDGE = 4
 """Layout 'manjanna24': the third ring is the eight regions beyond the 9 x 9 square around the robot."""
@@ -43,6 +46,8 @@ class Blocks(NamedTuple):
         Side of the blocks in cells.
     rings : ndarray, int64 [levels, 8]
         Index steps from the robot to the centres of the blocks.
+    wide : ndarray, int64 [8, 9]
+        Index steps to the centres of the nine blocks that make up each block of the widest ring.
     width, pad : int
         Cells per row of these arrays, and the frame they have around the field's own.
     far : ndarray, float64 [2, rows + 1, cols + 1]
@@ -55,6 +60,7 @@ class Blocks(NamedTuple):
     blocked: NDArray[np.float32]
     sizes: NDArray[np.int64]
     rings: NDArray[np.int64]
+    wide: NDArray[np.int64]
     width: int
     pad: int
     far: NDArray[np.float64]
@@ -69,25 +75,27 @@ def feature_count(layout: str) -> int:
 def build_blocks(field: Field, layout: str) -> Blocks:
     """Return the block sums of an unvisited field for a layout of `LAYOUTS`."""
     sizes = BLOCK_SIZES[layout]
-    pad = sizes[-1]
+    pad = WIDEST[layout] + WIDEST[layout] // 3
     shape = (field.free.size // field.width, field.width)
     best = np.sort(field.value[field.free])[::-1][: int(field.limit) + 1]
     scale = float(best.mean()) if best.size and best.max() > 0 else 1.0
-    value = np.asarray((field.value / scale).reshape(shape), np.float64)
-    blocked = np.asarray(1.0 - field.free.reshape(shape), np.float64)
+    worth = _summed_area(np.asarray(field.value / scale).reshape(shape))
+    open_cells = _summed_area(field.free.reshape(shape).astype(np.float64))
     width = shape[1] + 2 * pad
     steps = np.array([0, 1, 1, 1, 0, -1, -1, -1]), np.array([1, 1, 0, -1, -1, -1, 0, 1])
-    far = np.zeros((2, 0, 0))
-    if layout == "manjanna24":
-        far = np.stack([_summed_area(value), _summed_area(1.0 - blocked)])
+    around = steps[0] * width + steps[1]
+    regions = layout == "manjanna24"
+    covered = sizes if regions else (*sizes, WIDEST[layout])
+    areas = np.array([size * size for size in covered], np.float32)[:, None]
     return Blocks(
-        sums=np.stack([_block_sums(value, s, pad, 0.0) for s in sizes]),
-        blocked=np.stack([_block_sums(blocked, s, pad, 1.0) / np.float32(s * s) for s in sizes]),
+        sums=block_sums(worth, np.array(sizes, np.int64), pad),
+        blocked=1.0 - block_sums(open_cells, np.array(covered, np.int64), pad) / areas,
         sizes=np.array(sizes, np.int64),
-        rings=np.array([s * (steps[0] * width + steps[1]) for s in sizes], np.int64),
+        rings=np.array([s * around for s in covered], np.int64),
+        wide=(covered[-1] * around)[:, None] + sizes[-1] * np.append(around, 0)[None, :],
         width=width,
         pad=pad,
-        far=far,
+        far=np.stack([worth, open_cells]) if regions else np.zeros((2, 0, 0)),
         scale=scale,
     )
 
@@ -98,46 +106,61 @@ def _summed_area(values: NDArray[np.float64]) -> NDArray[np.float64]:
     return table
 
 
-def _block_sums(values: NDArray[np.float64], size: int, pad: int, outside: float) -> NDArray[np.float32]:
-    """Sum `values` over the `size` x `size` block at each cell of the padded grid; flat float32."""
-    half = size // 2
-    table = _summed_area(np.pad(values, pad + half, constant_values=outside))
-    sums = table[size:, size:] - table[:-size, size:] - table[size:, :-size] + table[:-size, :-size]
-    return np.maximum(sums, 0.0).astype(np.float32).ravel()
+@kernel
+def block_sums(table: NDArray[np.float64], sizes: NDArray[np.int64], pad: int) -> NDArray[np.float32]:
+    """Return the sums over the blocks of each size centred at each cell of a grid framed by `pad` cells.
+
+    float32 [sizes, cells] from the summed-area table [rows + 1, cols + 1]; outside the grid there is nothing.
+    """
+    rows, cols = table.shape[0] - 1, table.shape[1] - 1
+    width = cols + 2 * pad
+    sums = np.zeros((sizes.size, (rows + 2 * pad) * width), np.float32)
+    for level in range(sizes.size):
+        half = sizes[level] // 2
+        for row in range(rows + 2 * pad):
+            top = min(max(row - pad - half, 0), rows)
+            bottom = min(max(row - pad + half + 1, 0), rows)
+            if top == bottom:
+                continue
+            for col in range(width):
+                left = min(max(col - pad - half, 0), cols)
+                right = min(max(col - pad + half + 1, 0), cols)
+                total = table[bottom, right] - table[top, right] - table[bottom, left] + table[top, left]
+                sums[level, row * width + col] = max(total, 0.0)
+    return sums
 
 
-@njit(cache=True, nogil=True)
+@lean_kernel
 def padded_index(blocks: Blocks, width: int, cell: int) -> int:
     """Return the index into the block arrays of a field cell."""
     row = cell // width
     return (row + blocks.pad) * blocks.width + cell - row * width + blocks.pad
 
 
-@njit(cache=True, nogil=True)
+@lean_kernel
 def take_out(blocks: Blocks, sums: NDArray[np.float32], at: int, value: float) -> None:
     """Subtract a visited cell's scaled `value` from every block that holds it."""
     amount = np.float32(value)
     for level in range(blocks.sizes.size):
         half = blocks.sizes[level] // 2
-        span = 2 * half + 1
         for row in range(-half, half + 1):
             first = at + row * blocks.width - half
-            line = sums[level, first : first + span]
-            for i in range(span):
-                line[i] -= amount
+            for i in range(first, first + 2 * half + 1):
+                sums[level, i] -= amount
 
 
-@njit(cache=True, nogil=True)
+@lean_kernel
 def put_back(blocks: Blocks, sums: NDArray[np.float32], at: int) -> None:
     """Restore every block that holds the cell `at` to its unvisited sum."""
     for level in range(blocks.sizes.size):
         half = blocks.sizes[level] // 2
         for row in range(-half, half + 1):
             first = at + row * blocks.width - half
-            sums[level, first : first + 2 * half + 1] = blocks.sums[level, first : first + 2 * half + 1]
+            for i in range(first, first + 2 * half + 1):
+                sums[level, i] = blocks.sums[level, i]
 
 
-@njit(cache=True, nogil=True)
+@lean_kernel
 def read_rings(
     blocks: Blocks,
     sums: NDArray[np.float32],
@@ -148,24 +171,31 @@ def read_rings(
     fresh: NDArray[np.float64],
     rings: NDArray[np.float64],
 ) -> None:
-    """Fill `rings` [rings, 8] with the features around cell `at` of the block arrays.
+    """Fill `rings` [rings + 1, 8] with the features around cell `at` of the block arrays; the last row is spare.
 
     `path[:n]` is the walk so far and `fresh[t]` the scaled score it collected at t; only the regions of
     'manjanna24' need them.
     """
-    levels = blocks.sizes.size
-    for level in range(levels):
-        area = blocks.sizes[level] * blocks.sizes[level]
+    kept = blocks.sizes.size
+    for level in range(kept):
+        share = 1.0 / (blocks.sizes[level] * blocks.sizes[level])
         for k in range(RING):
-            centre = at + blocks.rings[level, k]
-            rings[level, k] = max(sums[level, centre], np.float32(0.0)) / area
-            if blocks.far.size == 0:
-                rings[levels + level, k] = blocks.blocked[level, centre]
+            rings[level, k] = sums[level, at + blocks.rings[level, k]] * share
     if blocks.far.size > 0:
-        _read_regions(blocks, width, path, n, fresh, rings[levels])
+        _read_regions(blocks, width, path, n, fresh, rings, kept)
+        return
+    share = 1.0 / (9 * blocks.sizes[kept - 1] * blocks.sizes[kept - 1])
+    for k in range(RING):
+        total = np.float32(0.0)
+        for i in range(9):
+            total += sums[kept - 1, at + blocks.wide[k, i]]
+        rings[kept, k] = total * share
+    for level in range(kept + 1):
+        for k in range(RING):
+            rings[kept + 1 + level, k] = blocks.blocked[level, at + blocks.rings[level, k]]
 
 
-@njit(cache=True, nogil=True)
+@lean_kernel
 def _sector(row: int, col: int) -> int:
     """Return the ring position of an offset whose signs are `row` and `col`; the centre is -1."""
     if row == 0:
@@ -175,51 +205,61 @@ def _sector(row: int, col: int) -> int:
     return 7 if col > 0 else (5 if col < 0 else 6)
 
 
-@njit(cache=True, nogil=True)
+@lean_kernel
 def _beyond(offset: int) -> int:
     """Return the sign of an offset that leaves the inner square, 0 inside it."""
     return 1 if offset > FAR_EDGE else (-1 if offset < -FAR_EDGE else 0)
 
 
-@njit(cache=True, nogil=True)
+@lean_kernel
+def _box_sum(tables: NDArray[np.float64], which: int, r0: int, r1: int, c0: int, c1: int) -> float:
+    """Return the sum over rows r0..r1 and columns c0..c1 (ends excluded) from a summed-area table."""
+    total = tables[which, r1, c1] - tables[which, r0, c1] - tables[which, r1, c0] + tables[which, r0, c0]
+    return float(total)
+
+
+@lean_kernel
 def _read_regions(
     blocks: Blocks,
     width: int,
     path: NDArray[np.int64],
     n: int,
     fresh: NDArray[np.float64],
-    ring: NDArray[np.float64],
+    rings: NDArray[np.float64],
+    ring: int,
 ) -> None:
-    """Fill `ring` [8] with the mean remaining score of the regions between the inner square and the edges."""
+    """Fill row `ring` with the mean remaining score between the inner square and the edges.
+
+    The next row is used up: it takes the numbers of cells.
+    """
     row, col = path[n - 1] // width, path[n - 1] % width
     rows, cols = blocks.far.shape[1] - 1, blocks.far.shape[2] - 1
     row_cuts = (0, max(row - FAR_EDGE, 0), min(row + FAR_EDGE + 1, rows), rows)
     col_cuts = (0, max(col - FAR_EDGE, 0), min(col + FAR_EDGE + 1, cols), cols)
-    cells = np.zeros(RING)
     for i in range(3):
         for j in range(3):
             k = _sector(i - 1, j - 1)
             if k >= 0:
-                r0, r1, c0, c1 = row_cuts[i], row_cuts[i + 1], col_cuts[j], col_cuts[j + 1]
-                table = blocks.far
-                ring[k] = table[0, r1, c1] - table[0, r0, c1] - table[0, r1, c0] + table[0, r0, c0]
-                cells[k] = table[1, r1, c1] - table[1, r0, c1] - table[1, r1, c0] + table[1, r0, c0]
+                for which in range(2):
+                    rings[ring + which, k] = _box_sum(
+                        blocks.far, which, row_cuts[i], row_cuts[i + 1], col_cuts[j], col_cuts[j + 1]
+                    )
     for t in range(n):
         if fresh[t] > 0.0:
             k = _sector(_beyond(path[t] // width - row), _beyond(path[t] % width - col))
             if k >= 0:
-                ring[k] -= fresh[t]
+                rings[ring, k] -= fresh[t]
     for k in range(RING):
-        ring[k] = max(ring[k], 0.0) / cells[k] if cells[k] > 0.5 else 0.0
+        cells = rings[ring + 1, k]
+        rings[ring, k] = max(rings[ring, k], 0.0) / cells if cells > 0.5 else 0.0
 
 
-@njit(cache=True, nogil=True)
-def tie_rings(rings: NDArray[np.float64], heading: int, phi: NDArray[np.float64]) -> None:
-    """Fill `phi` [rings * 5] with the rings as seen along `heading` (0..7): sides are added up."""
-    for level in range(rings.shape[0]):
-        ring = rings[level]
+@lean_kernel
+def tie_rings(rings: NDArray[np.float64], move: int, heading: int, phi: NDArray[np.float64]) -> None:
+    """Fill row `move` of `phi` with the rings as seen along `heading` (0..7): the two sides are added up."""
+    for level in range(phi.shape[1] // TIED):
         base = level * TIED
-        phi[base] = ring[heading]
+        phi[move, base] = rings[level, heading]
         for turn in range(1, TIED - 1):
-            phi[base + turn] = ring[(heading + turn) & 7] + ring[(heading - turn) & 7]
-        phi[base + TIED - 1] = ring[(heading + 4) & 7]
+            phi[move, base + turn] = rings[level, (heading + turn) & 7] + rings[level, (heading - turn) & 7]
+        phi[move, base + TIED - 1] = rings[level, (heading + 4) & 7]

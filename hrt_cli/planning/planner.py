@@ -30,11 +30,14 @@ SEED_WALKS = 4
 FINAL_WALKS = 2
 """Walks of the first round that are annealed further."""
 
-PROPOSALS_PER_MOVE = 1600
+PROPOSALS_PER_MOVE = 4000
 """Changes proposed per move of the budget over all walks and both rounds, at effort 1."""
 
 MOST_PROPOSALS = 20_000_000
 """Changes proposed at most at effort 1, however long the walk."""
+
+DISCOUNTED_MOVES = 250
+"""Budget above which fewer changes are proposed for a discounted plan: each is valued along the whole walk."""
 
 FIRST_SHARE = 0.5
 """Share of the changes spent in the first round."""
@@ -45,7 +48,7 @@ REHEAT = 0.4
 TIDY_SHARE = 0.1
 """Changes of the straightening pass, relative to the annealing."""
 
-BOUND_ITERATIONS = 60
+BOUND_ITERATIONS = 50
 """Subgradient steps of the Lagrangian bound at effort 1."""
 
 MOST_SAMPLED_MOVES = 4_000_000
@@ -114,14 +117,7 @@ def plan(
     ArgumentError
         When the method is unknown or a number is out of its range.
     """
-    if method not in METHODS:
-        raise ArgumentError(f"unknown method {method!r} (one of: {', '.join(METHODS)})")
-    if not (math.isfinite(effort) and effort > 0):
-        raise ArgumentError(f"the effort must be a positive number, not {effort}")
-    if samples < 1:
-        raise ArgumentError(f"at least one rollout must be sampled, not {samples}")
-    if seed < 0:
-        raise ArgumentError(f"the seed must not be negative, not {seed}")
+    _check_arguments(method, effort, samples, seed)
     started = time.perf_counter()
     field = build_field(problem)
     gamma = problem.gamma if problem.objective == "discounted" else 1.0
@@ -142,6 +138,17 @@ def plan(
         seconds=time.perf_counter() - started,
         evaluations=bench.evaluations,
     )
+
+
+def _check_arguments(method: str, effort: float, samples: int, seed: int) -> None:
+    if method not in METHODS:
+        raise ArgumentError(f"unknown method {method!r} (one of: {', '.join(METHODS)})")
+    if not (math.isfinite(effort) and effort > 0):
+        raise ArgumentError(f"the effort must be a positive number, not {effort}")
+    if samples < 1:
+        raise ArgumentError(f"at least one rollout must be sampled, not {samples}")
+    if seed < 0:
+        raise ArgumentError(f"the seed must not be negative, not {seed}")
 
 
 def _walk(
@@ -166,18 +173,18 @@ def _walk(
         return simple[method]()
     chosen = default_policy() if policy is None else policy
     if method == "policy":
-        return _likeliest(bench, chosen)
+        return _likeliest(bench, chosen, seed)
     sampled = _sampled(bench, chosen, samples, seed)
     if method == "policy-sample":
-        return bench.best([sampled[0], _likeliest(bench, chosen)])
+        return bench.best([sampled[0], _likeliest(bench, chosen, seed)])
     progress(1, 3)
-    others = [_likeliest(bench, chosen), simple["rectangle"](), simple["greedy"]()]
+    others = [_likeliest(bench, chosen, seed), simple["rectangle"](), simple["greedy"]()]
     return _refine(bench, sampled[: SEED_WALKS * 2] + others, effort, seed)
 
 
-def _likeliest(bench: _Bench, policy: Policy) -> Walk:
+def _likeliest(bench: _Bench, policy: Policy, seed: int) -> Walk:
     bench.evaluations += 1
-    path, n = roll_best(bench.field, build_blocks(bench.field, policy.layout), policy.weights)
+    path, n = roll_best(bench.field, build_blocks(bench.field, policy.layout), policy.weights, seed)
     return np.asarray(path[:n])
 
 
@@ -213,6 +220,8 @@ def _refine(bench: _Bench, walks: list[Walk], effort: float, seed: int) -> Walk:
     if min(walk.size for walk in walks) < 2:
         return bench.best(walks)
     proposals = min(PROPOSALS_PER_MOVE * field.limit, MOST_PROPOSALS) * effort
+    if bench.gamma < 1.0:
+        proposals *= min(1.0, DISCOUNTED_MOVES / field.limit)
     heat = float(np.mean([field.value[walk].mean() for walk in walks]))
     if heat <= 0.0:
         return bench.best(walks)

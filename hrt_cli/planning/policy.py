@@ -8,12 +8,12 @@ from dataclasses import dataclass, field
 from importlib import resources
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from hrt_cli.planning.features import (
     LAYOUTS,
     RING,
+    TIED,
     Blocks,
     feature_count,
     padded_index,
@@ -22,6 +22,7 @@ from hrt_cli.planning.features import (
     take_out,
     tie_rings,
 )
+from hrt_cli.planning.jit import kernel, lean_kernel
 from hrt_cli.planning.walk import Field, capacity, may_step, next_uniform
 
 DEFAULT_POLICY_FILE = "default_policy.npz"
@@ -116,7 +117,7 @@ def default_policy() -> Policy:
         return Policy.from_arrays({name: arrays[name] for name in arrays.files})
 
 
-@njit(cache=True, nogil=True)
+@lean_kernel
 def choose(
     phi: NDArray[np.float64],
     allowed: NDArray[np.bool_],
@@ -157,7 +158,19 @@ def choose(
     return best
 
 
-@njit(cache=True, nogil=True)
+@lean_kernel
+def log_gradient(
+    phi: NDArray[np.float64], share: NDArray[np.float64], taken: int, scores: NDArray[np.float64], row: int
+) -> None:
+    """Write into `scores[row]` the gradient of log pi: the features of the move taken less their mean."""
+    for i in range(phi.shape[1]):
+        scores[row, i] = phi[taken, i]
+    for a in range(phi.shape[0]):
+        for i in range(phi.shape[1]):
+            scores[row, i] -= share[a] * phi[a, i]
+
+
+@kernel
 def roll(
     field: Field,
     blocks: Blocks,
@@ -171,42 +184,42 @@ def roll(
 ) -> int:
     """Walk once under the policy until the budget is spent; return the number of cells.
 
+    Unless `sample`, the likeliest move is taken, but drawn at a cell that was left before since the last score:
+    there nothing has changed, and the likeliest moves would run in circles for good.
+
     Fills `path` and `fresh` (scaled score collected at each cell). Where `scores` [moves, features] is not
     empty it receives the gradient of log pi at each move. `sums` is restored before returning.
     """
     moves = field.offsets.size
-    rings = np.zeros((weights.size // 5, RING))
+    rings = np.zeros((weights.size // TIED + 1, RING))
     phi = np.zeros((moves, weights.size))
     share = np.zeros(moves)
     allowed = np.zeros(moves, np.bool_)
-    seen = np.zeros(field.free.size, np.bool_)
-    cell, left, n = field.start, field.limit, 1
+    last = np.full(field.free.size, -1)
+    cell, left, n, paid = field.start, field.limit, 1, 0
     path[0] = cell
     fresh[0] = field.value[cell] / blocks.scale
-    seen[cell] = True
     take_out(blocks, sums, padded_index(blocks, field.width, cell), fresh[0])
     while n < path.size:
         read_rings(blocks, sums, padded_index(blocks, field.width, cell), field.width, path, n, fresh, rings)
         for a in range(moves):
             allowed[a] = may_step(field, cell, a, left)
-            tie_rings(rings, a * (RING // moves), phi[a])
-        a = choose(phi, allowed, weights, sample, state, share)
+            tie_rings(rings, a, a * (RING // moves), phi)
+        circling = last[cell] >= paid
+        last[cell] = n
+        a = choose(phi, allowed, weights, sample or circling, state, share)
         if a < 0:
             break
         if scores.size > 0:
-            for i in range(weights.size):
-                mean = 0.0
-                for b in range(moves):
-                    mean += share[b] * phi[b, i]
-                scores[n - 1, i] = phi[a, i] - mean
+            log_gradient(phi, share, a, scores, n - 1)
         cell += field.offsets[a]
         left -= field.costs[a]
         path[n] = cell
         fresh[n] = 0.0
-        if not seen[cell]:
-            seen[cell] = True
+        if last[cell] < 0:
             fresh[n] = field.value[cell] / blocks.scale
             if fresh[n] > 0.0:
+                paid = n + 1
                 take_out(blocks, sums, padded_index(blocks, field.width, cell), fresh[n])
         n += 1
     for t in range(n):
@@ -214,7 +227,7 @@ def roll(
     return n
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def roll_many(
     field: Field, blocks: Blocks, weights: NDArray[np.float64], count: int, seed: int
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
@@ -232,10 +245,11 @@ def roll_many(
     return paths, lengths
 
 
-@njit(cache=True, nogil=True)
-def roll_best(field: Field, blocks: Blocks, weights: NDArray[np.float64]) -> tuple[NDArray[np.int64], int]:
-    """Return the walk that always takes the likeliest move, and its number of cells."""
+@kernel
+def roll_best(field: Field, blocks: Blocks, weights: NDArray[np.float64], seed: int) -> tuple[NDArray[np.int64], int]:
+    """Return the walk that takes the likeliest moves, and its number of cells."""
     path = np.zeros(capacity(field), np.int64)
-    state = np.zeros(1, np.uint64)
-    n = roll(field, blocks, blocks.sums.copy(), weights, False, state, path, np.zeros(path.size), np.zeros((0, 0)))
+    fresh = np.zeros(path.size)
+    state = np.full(1, np.uint64(seed), np.uint64)
+    n = roll(field, blocks, blocks.sums.copy(), weights, False, state, path, fresh, np.zeros((0, 0)))
     return path, n

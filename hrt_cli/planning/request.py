@@ -15,8 +15,10 @@ from hrt_cli.planning.problem import Budget
 from hrt_cli.raster.grid import Grid
 from hrt_cli.raster.scoremap import Scoremap
 
-_START = re.compile(r"(cell|lonlat|xy):([^,]+),([^,]+)")
-_BUDGET = re.compile(r"([0-9.eE+-]+)\s*(steps?|m|min)?")
+# Narrower than `float`, which also takes 1_000, nan and digits of other scripts.
+_NUMBER = r"\s*([+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?)\s*"
+_START = re.compile(f"(cell|lonlat|xy):{_NUMBER},{_NUMBER}")
+_BUDGET = re.compile(f"{_NUMBER}(steps?|m|min)?")
 _MAX_VALUE = 1e9
 
 
@@ -52,10 +54,7 @@ def parse_start(text: str) -> Start:
     if not found:
         raise ArgumentError(f"--start {text!r} is none of {forms}")
     kind = found[1]
-    try:
-        numbers = [float(found[2]), float(found[3])]
-    except ValueError:
-        raise ArgumentError(f"--start {text!r} is none of {forms}") from None
+    numbers = [float(found[2]), float(found[3])]
     if not all(map(math.isfinite, numbers)):
         raise ArgumentError(f"--start {text!r} is not a place")
     if kind == "cell":
@@ -78,12 +77,9 @@ def parse_budget(text: str) -> Spending:
         The text is no budget, or not a positive finite number.
     """
     found = _BUDGET.fullmatch(text.strip())
-    try:
-        value = float(found[1]) if found else math.nan
-    except ValueError:
-        value = math.nan
-    if found is None or math.isnan(value):
+    if found is None:
         raise ArgumentError(f"--budget {text!r} is no budget such as 250 (steps), 400m or 15min")
+    value = float(found[1])
     if not 0 < value <= _MAX_VALUE:
         raise ArgumentError(f"--budget {text!r} must be more than 0 and at most {_MAX_VALUE:g}")
     unit: Literal["steps", "m", "min"] = "m" if found[2] == "m" else "min" if found[2] == "min" else "steps"

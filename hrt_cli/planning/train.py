@@ -7,12 +7,12 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from hrt_cli.errors import ArgumentError
 from hrt_cli.planning.families import FAMILIES, make_map
 from hrt_cli.planning.features import LAYOUTS, Blocks, build_blocks, feature_count
+from hrt_cli.planning.jit import kernel
 from hrt_cli.planning.policy import SEED_STRIDE, Policy, roll
 from hrt_cli.planning.problem import Budget, Problem
 from hrt_cli.planning.walk import Field, build_field, capacity
@@ -63,10 +63,10 @@ class TrainSpec:
     iterations: int = 300
     maps_per_iteration: int = 8
     rollouts: int = 16
-    map_side: int = 48
-    moves: int = 160
+    map_side: int = 64
+    moves: int = 250
     trace_decay: float = 0.98
-    learning_rate: float = 0.15
+    learning_rate: float = 0.25
     eight: float = 0.25
     families: tuple[str, ...] = FAMILIES
     seed: int = 0
@@ -91,7 +91,7 @@ class TrainSpec:
             raise ArgumentError(f"eight must be between 0 and 1, not {self.eight}")
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def explore(
     field: Field, blocks: Blocks, weights: NDArray[np.float64], count: int, seed: int
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

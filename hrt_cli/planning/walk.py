@@ -10,9 +10,9 @@ import heapq
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from hrt_cli.planning.jit import kernel, lean_kernel
 from hrt_cli.planning.problem import BUDGET_TOLERANCE, Problem
 
 UNREACHED = np.inf
@@ -64,7 +64,7 @@ class Field(NamedTuple):
     exact: bool
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def parity_steps(free: NDArray[np.bool_], offsets: NDArray[np.int64], source: int, limit: float) -> NDArray[np.float64]:
     """Return the fewest moves from `source` to each cell, for even and odd move counts, up to `limit`.
 
@@ -96,7 +96,7 @@ def parity_steps(free: NDArray[np.bool_], offsets: NDArray[np.int64], source: in
     return steps.reshape((2, n))
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def travel_costs(
     free: NDArray[np.bool_],
     offsets: NDArray[np.int64],
@@ -213,7 +213,7 @@ def to_path(field: Field, cells: NDArray[np.integer]) -> NDArray[np.int64]:
     return ((cells[:, 0] - field.row) * field.width + cells[:, 1] - field.col).astype(np.int64)
 
 
-@njit(cache=True, nogil=True)
+@lean_kernel
 def walk_value(
     value: NDArray[np.float64], path: NDArray[np.int64], n: int, gamma: float, seen: NDArray[np.bool_]
 ) -> float:
@@ -230,16 +230,18 @@ def walk_value(
     return total
 
 
-@njit(cache=True, nogil=True)
+@lean_kernel
 def step_cost(field: Field, move: int) -> float:
     """Return what the index step `move` costs, inf when it is no move."""
-    for k in range(field.offsets.size):
-        if field.offsets[k] == move:
-            return float(field.costs[k])
+    size = abs(move)
+    if size == 1 or size == field.width:
+        return 1.0
+    if field.offsets.size == 8 and (size == field.width - 1 or size == field.width + 1):
+        return float(field.costs[1])
     return np.inf
 
 
-@njit(cache=True, nogil=True)
+@lean_kernel
 def walk_cost(field: Field, path: NDArray[np.int64], n: int) -> float:
     """Return the cost of the first `n` cells of a walk, inf when two of them are not neighbours."""
     cost = 0.0
@@ -248,7 +250,33 @@ def walk_cost(field: Field, path: NDArray[np.int64], n: int) -> float:
     return cost
 
 
-@njit(cache=True, nogil=True)
+@lean_kernel
+def splice_cost(
+    field: Field, path: NDArray[np.int64], n: int, at: int, cut: int, patch: NDArray[np.int64], put: int
+) -> float:
+    """Return what replacing `path[at:at + cut]` by `patch[:put]` adds to the cost of the walk."""
+    cost = 0.0
+    end = at + cut
+    for t in range(at, min(end + 1, n)):
+        cost -= step_cost(field, path[t] - path[t - 1])
+    before = path[at - 1]
+    for i in range(put):
+        cost += step_cost(field, patch[i] - before)
+        before = patch[i]
+    if end < n:
+        cost += step_cost(field, path[end] - before)
+    return cost
+
+
+@lean_kernel
+def moves_between(a: int, b: int, width: int, kinds: int) -> int:
+    """Return the fewest moves between two cells of an open grid."""
+    rows = abs(a // width - b // width)
+    cols = abs(a % width - b % width)
+    return max(rows, cols) if kinds == 8 else rows + cols
+
+
+@lean_kernel
 def count_turns(path: NDArray[np.int64], n: int) -> int:
     """Return how often a walk changes direction."""
     turns = 0
@@ -258,7 +286,7 @@ def count_turns(path: NDArray[np.int64], n: int) -> int:
     return turns
 
 
-@njit(cache=True, nogil=True)
+@lean_kernel
 def may_step(field: Field, cell: int, k: int, left: float) -> bool:
     """Tell whether move `k` out of `cell` keeps the walk within its budget `left`, the way home included."""
     after = cell + field.offsets[k]
@@ -271,13 +299,13 @@ def may_step(field: Field, cell: int, k: int, left: float) -> bool:
     return bool(needed <= rest + BUDGET_TOLERANCE)
 
 
-@njit(cache=True, nogil=True)
+@lean_kernel
 def capacity(field: Field) -> int:
     """Return the largest number of cells a walk can have."""
     return int(field.limit + BUDGET_TOLERANCE) + 1
 
 
-@njit(cache=True, nogil=True)
+@lean_kernel
 def next_uniform(state: NDArray[np.uint64]) -> float:
     """Return a number in [0, 1) and advance `state`, uint64 [1] (splitmix64, Steele et al. 2014)."""
     state[0] += np.uint64(0x9E3779B97F4A7C15)
@@ -288,7 +316,7 @@ def next_uniform(state: NDArray[np.uint64]) -> float:
     return np.float64(z >> np.uint64(11)) * (1.0 / 9007199254740992.0)
 
 
-@njit(cache=True, nogil=True)
+@lean_kernel
 def next_below(state: NDArray[np.uint64], n: int) -> int:
     """Return an integer in [0, n) and advance `state`."""
     return int(next_uniform(state) * n)

@@ -102,6 +102,8 @@ def publishing_classes(
 def _names(raster: Raster) -> list[str]:
     try:
         names = json.loads(raster.hrt_tags.get("NAMES", "[]"))
-    except json.JSONDecodeError as error:
+    except (ValueError, RecursionError) as error:
         raise InputError(raster.path, "its class names are damaged") from error
-    return [str(name) for name in names]
+    if not (isinstance(names, list) and all(isinstance(name, str) for name in names)):
+        raise InputError(raster.path, "its class names are damaged")
+    return names

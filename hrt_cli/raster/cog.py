@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import re
 import shutil
 import warnings
 from collections.abc import Iterator, Mapping
@@ -21,6 +22,7 @@ import numpy as np
 import rasterio
 import rasterio.shutil
 from numpy.typing import NDArray
+from rasterio._err import CPLE_BaseError
 from rasterio.enums import ColorInterp
 from rasterio.errors import NotGeoreferencedWarning, RasterioError
 from rasterio.io import DatasetReader, DatasetWriter
@@ -30,7 +32,7 @@ from hrt_cli.artifacts.carriers import checked, parse_provenance
 from hrt_cli.artifacts.jsonio import canonical, parse_strict
 from hrt_cli.artifacts.provenance import Provenance
 from hrt_cli.artifacts.publish import publishing
-from hrt_cli.errors import OutputError
+from hrt_cli.errors import ArgumentError, OutputError
 from hrt_cli.raster.gate import Raster, open_raster
 from hrt_cli.raster.grid import Grid
 from hrt_cli.raster.windows import Window
@@ -39,6 +41,22 @@ TILE_PX = 512
 _NAMESPACE = "HRT"
 _STRIP_ROWS = 512
 _SPACE_LEFT = 64 * 1024
+
+# GDAL's own errors reach us bare from some of rasterio's functions (`rasterio.shutil.copy` on a full disk).
+_GDAL_ERRORS = (RasterioError, CPLE_BaseError)
+_COMPRESSIONS = "NONE|DEFLATE|LZW|ZSTD|LZMA"
+_CREATION = {
+    "COMPRESS": _COMPRESSIONS,
+    "LEVEL": "[0-9]{1,2}",
+    "PREDICTOR": "YES|NO|STANDARD|FLOATING_POINT",
+    "BLOCKSIZE": "128|256|512|1024|2048",
+    "BIGTIFF": "YES|NO|IF_NEEDED|IF_SAFER",
+    "OVERVIEWS": "AUTO|NONE",
+    "OVERVIEW_COMPRESS": _COMPRESSIONS,
+    "OVERVIEW_RESAMPLING": "NEAREST|AVERAGE|BILINEAR|CUBIC|MODE",
+    "SPARSE_OK": "YES|NO",
+}
+"""Creation options of the COG driver that users may set, and the values of each (a regular expression)."""
 
 Colour = tuple[int, int, int, int]
 
@@ -103,12 +121,19 @@ def publishing_cog(target: Path, grid: Grid, layout: Layout, provenance: Provena
     ------
     OutputError
         The file cannot be written or does not read back as it was written.
+    ArgumentError
+        A creation option is none that a lossless GeoTIFF on the same grid can have.
     """
-    digest = ""
+    digest, work_bytes = "", 0
+    creation = _checked_creation(layout.creation)
 
     def check(draft: Path) -> None:
-        if _content_of(draft) != digest:
-            raise OutputError(f"{target}: did not read back as it was written (is the disk full?)")
+        try:
+            whole = _content_of(draft) == digest
+        except _GDAL_ERRORS:
+            whole = False
+        if not whole:
+            raise _write_error(target, "does not read back as it was written", work_bytes)
 
     with publishing(target, check) as draft:
         work = draft.with_name("work.tif")
@@ -124,9 +149,10 @@ def publishing_cog(target: Path, grid: Grid, layout: Layout, provenance: Provena
                         yield writer
                     digest = _content_of(work)
                     _tag(work, {**layout.tags, **writer.tags}, provenance.with_content(digest))
-                    _copy_to_cog(work, draft, layout)
-        except RasterioError as error:
-            raise _write_error(target, error) from error
+                    work_bytes = work.stat().st_size
+                    _copy_to_cog(work, draft, layout, creation)
+        except _GDAL_ERRORS as error:
+            raise _write_error(target, str(error.__cause__ or error), work_bytes) from error
         work.unlink()
 
 
@@ -182,14 +208,28 @@ def _tag(work: Path, tags: Mapping[str, Any], provenance: Provenance) -> None:
         dataset.update_tags(ns=_NAMESPACE, **values)
 
 
-def _copy_to_cog(work: Path, draft: Path, layout: Layout) -> None:
+def _checked_creation(creation: Mapping[str, str]) -> dict[str, str]:
+    """Let through the options that change how pixels are stored, none that changes what they are.
+
+    GDAL ignores an option that it does not know, and loops for ever on a block size below zero.
+    """
+    checked = {name.upper(): value.upper() for name, value in creation.items()}
+    for name, value in checked.items():
+        if name not in _CREATION:
+            raise ArgumentError(f"--co {name}: is none of {', '.join(_CREATION)}")
+        if not re.fullmatch(_CREATION[name], value):
+            raise ArgumentError(f"--co {name}={value}: must be {_CREATION[name].replace('|', ', ')}")
+    return checked
+
+
+def _copy_to_cog(work: Path, draft: Path, layout: Layout, creation: Mapping[str, str]) -> None:
     options = {
         "COMPRESS": "DEFLATE",
         "PREDICTOR": "YES" if np.dtype(layout.dtype).kind == "f" or layout.rgb else "NO",
         "BLOCKSIZE": str(TILE_PX),
         "OVERVIEW_RESAMPLING": layout.resampling.upper(),
         "BIGTIFF": "IF_SAFER",
-        **{key.upper(): value for key, value in layout.creation.items()},
+        **creation,
     }
     rasterio.shutil.copy(work, draft, driver="COG", copy_src_mdd="YES", **options)
 
@@ -215,8 +255,13 @@ def _hash_strip(dataset: DatasetReader, digest: hashlib._Hash, top: int) -> None
         digest.update(np.packbits(dataset.dataset_mask(window=window) > 0).data)
 
 
-def _write_error(target: Path, error: Exception) -> OutputError:
+def _write_error(target: Path, problem: str, work_bytes: int) -> OutputError:
+    """Say why a raster could not be written, GDAL's own words for a full disk being many and obscure.
+
+    GDAL has deleted what it wrote of the copy by now: the disk was full if the copy, with its overviews apart and
+    then inside it, has no room in what is free again.
+    """
     free = shutil.disk_usage(target.parent).free
-    if free < _SPACE_LEFT or "No space left" in str(error.__cause__ or error):
+    if free < max(_SPACE_LEFT, 2 * work_bytes) or "No space left" in problem:
         return OutputError(f"{target}: No space left on device; nothing was changed")
-    return OutputError(f"{target}: cannot be written: {' '.join(str(error.__cause__ or error).split())}")
+    return OutputError(f"{target}: cannot be written: {' '.join(problem.split())}")

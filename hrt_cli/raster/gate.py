@@ -15,7 +15,8 @@ import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
+from xml.sax.saxutils import unescape
 
 import numpy as np
 import rasterio
@@ -40,9 +41,11 @@ _FORMATS = "GeoTIFF, VRT, JPEG 2000, Imagine, PNG or JPEG is"
 _BOMB_BYTES = 2**30
 _BOMB_RATIO = 500
 _MAX_BLOCK_BYTES = 512 * 2**20
-_VRT_ESCAPES = re.compile(rb"/vsi|https?://|<PixelFunction|&#|<!ENTITY", re.IGNORECASE)
-
-Use = Literal["image", "data"]
+_VRT_ESCAPES = re.compile(rb"/vsi|https?://|<PixelFunction|&#|<!ENTITY|<!\[CDATA", re.IGNORECASE)
+_VRT_SOURCE = re.compile(rb"<Source(?:Filename|Dataset)\b([^>]*)>([^<]*)<", re.IGNORECASE)
+_VRT_RELATIVE = re.compile(rb"relativeToVRT\s*=\s*[\"']\s*1", re.IGNORECASE)
+_MAX_VRT_BYTES = 64 * 2**20
+_MAX_VRT_DEPTH = 4
 
 
 class Raster:
@@ -59,7 +62,7 @@ class Raster:
         What the user ought to know though it was no reason to refuse.
     """
 
-    def __init__(self, path: Path, dataset: DatasetReader, grid: Grid, nodata: float | None) -> None:
+    def __init__(self, path: Path, dataset: DatasetReader, grid: Grid, nodata: float | None, parts: list[Path]) -> None:
         self.path = path
         self.grid = grid
         self.count: int = dataset.count
@@ -77,6 +80,7 @@ class Raster:
             MaskFlags.per_dataset in dataset.mask_flag_enums[0] and MaskFlags.alpha not in dataset.mask_flag_enums[0]
         )
         self.notes: list[str] = []
+        self._parts = parts
         self._local = threading.local()
         self._open: list[DatasetReader] = [dataset]
         self._lock = threading.Lock()
@@ -95,12 +99,13 @@ class Raster:
         That is the file itself, a mask side-car, and the files a VRT is made of; overviews and statistics beside
         it change nothing.
         """
-        parts = [Path(name) for name in self._open[0].files]
-        return {"raster": self.path} | {
-            f"raster/{index}": part
-            for index, part in enumerate(p for p in parts if p != self.path and p.suffix not in (".ovr", ".xml"))
-            if part.is_file()
-        }
+        beside = [Path(name) for name in self._open[0].files]
+        parts = dict.fromkeys(
+            part
+            for part in (*beside, *self._parts)
+            if part != self.path and part.suffix not in (".ovr", ".xml") and part.is_file()
+        )
+        return {"raster": self.path} | {f"raster/{index}": part for index, part in enumerate(parts)}
 
     def read_bands(self, bands: list[int], window: Window) -> NDArray[Any]:
         """Read bands (1-based) in a window inside the raster: [band, height, width] in the file's dtype."""
@@ -150,8 +155,8 @@ def open_raster(
     """
     path = Path(path)
     if not path.is_file():
-        raise InputError(path, "no such file")
-    _refuse_escaping_vrt(path)
+        raise InputError(path, "is a folder, not a raster" if path.is_dir() else "no such file")
+    parts = _vrt_parts(path)
     dataset = _open(path)
     try:
         _check_header(path, dataset)
@@ -159,7 +164,7 @@ def open_raster(
     except BaseException:
         dataset.close()
         raise
-    with Raster(path, dataset, grid, nodata) as raster:
+    with Raster(path, dataset, grid, nodata, parts) as raster:
         if grid.placeholder_georeference:
             raster.notes.append(
                 "its coordinates are a placeholder (UTM at 0, 0): the photographs carried no GPS; "
@@ -183,11 +188,33 @@ def _open(path: Path) -> DatasetReader:
     return dataset
 
 
-def _refuse_escaping_vrt(path: Path) -> None:
-    with open(path, "rb") as file:
-        head = file.read(4 * 2**20)
-    if b"<VRTDataset" in head[:4096] and _VRT_ESCAPES.search(head):
+def _vrt_parts(path: Path, depth: int = 0) -> list[Path]:
+    """List the files that a VRT is made of, also by way of other VRTs; none for any other file.
+
+    GDAL would open whatever a VRT names: an address on the network, a database. Only plain files are let through.
+    """
+    try:
+        with open(path, "rb") as file:
+            if b"<VRTDataset" not in file.read(4096):
+                return []
+            file.seek(0)
+            text = file.read(_MAX_VRT_BYTES + 1)
+    except OSError as error:
+        raise InputError(path, f"cannot be read: {error.strerror or error}") from error
+    if len(text) > _MAX_VRT_BYTES:
+        raise InputError(path, f"is a VRT of more than {_MAX_VRT_BYTES} bytes")
+    if _VRT_ESCAPES.search(text):
         raise InputError(path, "is a VRT that reads over a network or virtual file system, or runs code")
+    if depth >= _MAX_VRT_DEPTH:
+        raise InputError(path, f"is a VRT inside {depth} other VRTs, or inside itself")
+    parts: dict[Path, None] = {}
+    for attributes, raw in set(_VRT_SOURCE.findall(text)):
+        name = unescape(raw.decode("utf-8", "surrogateescape")).strip()
+        part = path.parent / name if _VRT_RELATIVE.search(attributes) else Path(name)
+        if not part.is_file():
+            raise InputError(path, f"is a VRT of {name!r}, which is no file on this machine")
+        parts |= dict.fromkeys([part, *_vrt_parts(part, depth + 1)])
+    return sorted(parts)
 
 
 def _check_header(path: Path, dataset: DatasetReader) -> None:
@@ -259,7 +286,8 @@ def is_nodata(values: NDArray[Any], nodata: float | None) -> NDArray[np.bool_]:
     if nodata is None or not math.isfinite(nodata):
         return empty
     if values.dtype.kind == "f":
-        return np.asarray(empty | (values == values.dtype.type(nodata)))
+        with np.errstate(over="ignore"):  # a double's lowest number, declared on a float32 band, is met by no pixel
+            return np.asarray(empty | (values == values.dtype.type(nodata)))
     limits = np.iinfo(values.dtype)
     # A nodata value outside the type's range (-9999 in uint8) is met by no pixel; a cast would wrap it round.
     if limits.min <= nodata <= limits.max and nodata == int(nodata):

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 from affine import Affine
 from numpy.typing import ArrayLike, NDArray
+from rasterio._err import CPLE_AppDefinedError, CPLE_BaseError
 from rasterio.crs import CRS
 from rasterio.errors import CRSError
 from rasterio.warp import transform as warp_points
@@ -33,7 +34,9 @@ MAX_SCALE_VARIATION = 0.01
 _MAX_SHEAR = 0.02
 _MAX_ASPECT = 4.0
 _SAME_GRID_PX = 0.01
+_NO_PLACE = "its coordinates have no place on the Earth in its coordinate reference system"
 _PLACEHOLDER_M = 10_000.0
+_UTM_FALSE_EASTING = 'PARAMETER["false_easting",500000'
 # The lattice phase is rounded away from fractions that occur in practice (0, 1/2, 1/4, 1/3), so that floating-point
 # noise in a crop's origin never moves it to the neighbouring pixel.
 _ROUNDING = 0.3819660113
@@ -120,7 +123,7 @@ class Grid:
         return row, col
 
     def lonlat(self, x: ArrayLike, y: ArrayLike) -> tuple[Floats, Floats]:
-        """WGS 84 longitude and latitude in degrees of map coordinates.
+        """WGS 84 longitude (-180 to 180) and latitude in degrees of map coordinates.
 
         Raises
         ------
@@ -129,7 +132,11 @@ class Grid:
         """
         if self.crs is None:
             raise ValueError("has no coordinate reference system")
-        return transform_points(self.crs, WGS84, x, y)
+        lon, lat = transform_points(self.crs, WGS84, x, y)
+        # PROJ hands degrees through unchecked: metres labelled as degrees would come out as latitude 5 000 000.
+        if np.abs(lat).max(initial=0.0) > 90.0 or np.abs(lon).max(initial=0.0) > 360.0:
+            raise ValueError(_NO_PLACE)
+        return np.where(np.abs(lon) > 180.0, _wrapped(lon), lon), lat
 
     def xy_of_lonlat(self, lon: float, lat: float) -> tuple[float, float]:
         """Map coordinates of a WGS 84 position."""
@@ -164,7 +171,8 @@ class Grid:
         """
         if self.crs is None or not self.crs.is_projected:
             return False
-        is_utm = "UTM" in self.crs.to_wkt().upper()
+        # A CRS made from a PROJ string does not say that it is UTM; its false easting does.
+        is_utm = _UTM_FALSE_EASTING in self.crs.to_wkt()
         return is_utm and abs(self.transform.c) < _PLACEHOLDER_M and abs(self.transform.f) < _PLACEHOLDER_M
 
     def crs_text(self) -> str | None:
@@ -249,11 +257,13 @@ def transform_points(source: CRS, target: CRS, x: ArrayLike, y: ArrayLike) -> tu
     ys: Sequence[Any] = np.atleast_1d(np.asarray(y, np.float64)).tolist()
     try:
         out = warp_points(source, target, xs, ys)
-    except (CRSError, RuntimeError, ValueError) as error:
+    except CPLE_AppDefinedError as error:
+        raise ValueError(_NO_PLACE) from error
+    except (CPLE_BaseError, CRSError, RuntimeError, ValueError) as error:
         raise ValueError("its coordinate reference system has no known place on the Earth") from error
     points = np.asarray(out[:2], np.float64)
     if not np.isfinite(points).all():
-        raise ValueError("its coordinates have no place on the Earth in its coordinate reference system")
+        raise ValueError(_NO_PLACE)
     return points[0], points[1]
 
 

@@ -31,7 +31,7 @@ class Stretch:
 
     def apply(self, values: NDArray[Any]) -> NDArray[np.uint8]:
         """Map values of any shape to uint8."""
-        with np.errstate(invalid="ignore"):
+        with np.errstate(invalid="ignore", over="ignore"):  # what nodata comes to does not matter
             scaled = (values.astype(np.float32) - self.low) * np.float32(255.0 / (self.high - self.low))
         return np.asarray(np.nan_to_num(np.clip(np.rint(scaled), 0, 255))).astype(np.uint8)
 
@@ -122,15 +122,15 @@ class Image:
         return np.ascontiguousarray(np.moveaxis(planes, 0, -1))
 
     def thumbnail(self, max_px: int) -> tuple[NDArray[np.uint8], NDArray[np.bool_]]:
-        """Return the whole image and its mask, every n-th pixel, with at most `max_px` rows and columns."""
+        """Return the whole image and its mask, every n-th pixel, with at most `max_px` rows and columns.
+
+        Each pixel stands for a square of n x n, at the right and bottom edge for what is left of one.
+        """
         step = max(1, -(-max(self.shape) // max_px))
         parts = []
         for window in blocks(self.shape, step * max(1, 512 // step)):
             rgb, valid = self.read(window)
-            middle = (
-                slice(min(step // 2, window.height - 1), None, step),
-                slice(min(step // 2, window.width - 1), None, step),
-            )
+            middle = np.ix_(_middles(window.height, step), _middles(window.width, step))
             parts.append((window.row, rgb[middle], valid[middle]))
         tops = sorted({top for top, _, _ in parts})
         rgb = np.concatenate([np.concatenate([r for t, r, _ in parts if t == top], axis=1) for top in tops])
@@ -143,7 +143,7 @@ class Image:
         Raises
         ------
         InputError
-            No sampled pixel is valid and neither is any other, or all have one value.
+            No pixel is valid, or all that are have one value.
         """
         values, total = [], 0
         for window in _probe_windows(self.shape):
@@ -154,10 +154,12 @@ class Image:
         if found.shape[1] == 0:
             found = self._search_valid()
         self.valid_share = min(1.0, found.shape[1] / total)
+        if (found == found[:, :1]).all():
+            found = self._search_variety(found[:, :1])
         if self.raster.dtypes[self.bands[0] - 1] != "uint8":
             low, high = np.quantile(found.astype(np.float64), _STRETCH_QUANTILES)
             if not high > low:
-                raise InputError(self.raster.path, "all its pixels have one value: there is nothing to tell apart")
+                low, high = float(found.min()), float(found.max())
             self.stretch = Stretch(float(low), float(high))
             self.raster.notes.append(
                 f"its {self.raster.dtypes[0]} values are stretched to 8 bits: {low:g} to 0, {high:g} to 255"
@@ -171,6 +173,15 @@ class Image:
         sidecar = self.raster.path.with_name(self.raster.path.name + ".msk")
         blame = f"; the side-car {sidecar.name} masks all of it: delete it if it is stale" if sidecar.exists() else ""
         raise InputError(self.raster.path, "has no valid pixel: all is nodata" + blame)
+
+    def _search_variety(self, colour: NDArray[Any]) -> NDArray[Any]:
+        """Find a block in which some valid pixel is not of the one colour [band, 1] that the probe saw."""
+        for window in blocks(self.shape, 1024):
+            colours, valid = self._read_inside(window)
+            found = colours[:, valid]
+            if (found != colour).any():
+                return np.concatenate([colour, found], axis=1)
+        raise InputError(self.raster.path, "all its pixels have one value: there is nothing to tell apart")
 
 
 @contextmanager
@@ -196,7 +207,7 @@ def open_image(
     Raises
     ------
     InputError
-        As `open_raster`, and where no pixel is valid.
+        As `open_raster`, and where no pixel is valid or all have one value.
     ArgumentError
         A band asked for does not exist.
     """
@@ -227,6 +238,11 @@ def _choose_bands(raster: Raster, asked: tuple[int, ...]) -> list[int]:
             f"band {', '.join(map(str, extra))} is not declared as alpha and is not used"
         )
     return chosen
+
+
+def _middles(length: int, step: int) -> NDArray[np.intp]:
+    """Index the middle of each piece of `step` pixels, the last piece being what is left."""
+    return np.minimum(np.arange(0, length, step) + step // 2, length - 1)
 
 
 def _probe_windows(shape: tuple[int, int]) -> list[Window]:

@@ -9,12 +9,13 @@ from typing import Any
 import numpy as np
 from affine import Affine
 from numpy.typing import NDArray
+from rasterio.enums import ColorInterp
 
 from hrt_cli.artifacts.carriers import read_stamped_npz
 from hrt_cli.artifacts.provenance import Provenance
 from hrt_cli.errors import InputError
 from hrt_cli.raster.cog import Layout, publishing_cog
-from hrt_cli.raster.gate import is_nodata, open_raster
+from hrt_cli.raster.gate import Raster, is_nodata, open_raster
 from hrt_cli.raster.grid import Grid
 from hrt_cli.raster.style import score_qml
 from hrt_cli.raster.windows import Window
@@ -53,15 +54,16 @@ def read_scoremap(path: Path) -> Scoremap:
     ------
     InputError
         The file is damaged, is not georeferenced (`.tif`), has cells that are not square on the ground, holds a
-        negative or infinite score, or has no cell that may be entered.
+        negative or infinite score or standard deviation, or has no cell that may be entered.
     """
     found = _read_npz(path) if path.suffix.lower() == ".npz" else _read_tif(path)
     score = found.score
-    if np.isinf(score).any():
-        raise InputError(path, "holds an infinite score")
-    if (score < 0).any():
-        row, col = np.argwhere(score < 0)[0]
-        raise InputError(path, f"holds a negative score ({score[row, col]:g} at cell {row},{col})")
+    for name, values in (("score", score), ("standard deviation", found.sd)):
+        wrong = np.isinf(values) | (values < 0)
+        if wrong.any():
+            row, col = np.argwhere(wrong)[0]
+            kind = "an infinite" if np.isinf(values[row, col]) else "a negative"
+            raise InputError(path, f"holds {kind} {name} ({values[row, col]:g} at cell {row},{col})")
     if np.isnan(score).all():
         raise InputError(path, "has no cell that may be entered: all are no-go")
     return found
@@ -101,15 +103,25 @@ def _read_tif(path: Path) -> Scoremap:
         if abs(row_m / col_m - 1) > _SQUARE:
             raise InputError(path, f"its cells are {col_m:.3f} x {row_m:.3f} m; a plan needs square ones")
         window = Window(0, 0, grid.rows, grid.cols)
-        bands = raster.read_bands(list(range(1, raster.count + 1)), window).astype(np.float32)
-        for band, values in enumerate(bands):
-            nodata = raster.nodata[band]
-            infinite = np.isinf(values)
-            values[is_nodata(values, nodata) & ~infinite] = np.nan
+        score, *rest = (_values(raster, band, window) for band in range(1, raster.count + 1))
         if raster.has_mask:
-            bands[:, ~raster.read_mask(window)] = np.nan
-    sd = bands[1] if len(bands) > 1 else np.where(np.isnan(bands[0]), np.nan, np.float32(0))
-    return Scoremap(bands[0], sd, grid, float(np.sqrt(row_m * col_m)))
+            score[~raster.read_mask(window)] = np.nan
+        if rest and raster.colours[1] == ColorInterp.alpha:
+            score[~(rest.pop() > 0)] = np.nan
+    sd = rest[0] if rest else np.zeros_like(score)
+    sd[np.isnan(score)] = np.nan
+    return Scoremap(score, sd, grid, float(np.sqrt(row_m * col_m)))
+
+
+def _values(raster: Raster, band: int, window: Window) -> NDArray[np.float32]:
+    """Read a band as float32 with NaN for nodata; an infinity that is not declared as nodata stays one."""
+    values = raster.read_bands([band], window)[0]
+    nodata = raster.nodata[band - 1]
+    undeclared = np.isinf(values) & (values != nodata)
+    empty = is_nodata(values, nodata) & ~undeclared
+    real = _float32(values)
+    real[empty] = np.nan
+    return real
 
 
 def _read_npz(path: Path) -> Scoremap:
@@ -118,13 +130,13 @@ def _read_npz(path: Path) -> Scoremap:
     if unknown or "score" not in arrays:
         wrong = f"unknown array {sorted(unknown)[0]!r}" if unknown else "no array 'score'"
         raise InputError(path, f"is not a scoremap: {wrong} (score, and optionally sd, cell_size_m, no_go)")
-    score = _plane(path, "score", arrays["score"], None).astype(np.float32)
+    score = _float32(_plane(path, "score", arrays["score"], None))
     _check_size(path, *score.shape)
     if "no_go" in arrays:
         score[_plane(path, "no_go", arrays["no_go"], score.shape).astype(bool)] = np.nan
     sd = np.zeros_like(score)
     if "sd" in arrays:
-        sd = _plane(path, "sd", arrays["sd"], score.shape).astype(np.float32)
+        sd = _float32(_plane(path, "sd", arrays["sd"], score.shape))
     sd[np.isnan(score)] = np.nan
     cell = arrays.get("cell_size_m", np.array(1.0))
     if cell.size != 1 or cell.dtype.kind not in "uif" or not (np.isfinite(cell).all() and float(cell.item()) > 0):
@@ -140,6 +152,11 @@ def _plane(path: Path, name: str, array: NDArray[Any], shape: tuple[int, ...] | 
     if shape is not None and array.shape != shape:
         raise InputError(path, f"{name} has shape {array.shape}, score has {shape}")
     return array
+
+
+def _float32(values: NDArray[Any]) -> NDArray[np.float32]:
+    with np.errstate(over="ignore"):  # what is too large becomes infinite, and that is refused
+        return values.astype(np.float32)
 
 
 def _check_size(path: Path, rows: int, cols: int) -> None:

@@ -86,6 +86,7 @@ def draw_scoremap(scoremap_path: Path, output: Path, *, backdrop: Path | None, e
         figure, axes = _canvas(behind.grid if behind else scoremap.grid, title)
         _show_backdrop(axes, behind)
         _show_scores(figure, axes, scoremap, behind, _OVERLAY_ALPHA if behind else 1.0)
+        _legend(axes, [(NO_GO_COLOUR, "no-go")])
         job.publish(figure)
         return False
 
@@ -106,6 +107,7 @@ def draw_plan(plan_path: Path, scoremap_path: Path, output: Path, *, backdrop: P
         _show_backdrop(axes, behind)
         _show_scores(figure, axes, scoremap, behind, 0.35 if behind else 0.9)
         _show_path(axes, plan, scoremap.grid, behind)
+        _legend(axes, [(NO_GO_COLOUR, "no-go")])
         job.publish(figure)
         return False
 
@@ -236,7 +238,7 @@ def _show_scores(figure: Figure, axes: Axes, scoremap: Scoremap, behind: Backdro
 
     _require_aligned(scoremap.grid, behind)
     ramp = LinearSegmentedColormap.from_list("score", list(SCORE_RAMP))
-    ramp.set_bad(NO_GO_COLOUR, 0.0 if behind else 1.0)
+    ramp.set_bad(NO_GO_COLOUR, 0.0)
     top = max(1.0, float(np.nanmax(scoremap.score)))
     shown = axes.imshow(
         np.ma.masked_invalid(scoremap.score),
@@ -247,8 +249,12 @@ def _show_scores(figure: Figure, axes: Axes, scoremap: Scoremap, behind: Backdro
         alpha=alpha,
         interpolation="nearest",
     )
+    no_go = np.zeros((*scoremap.score.shape, 4), np.uint8)
+    no_go[np.isnan(scoremap.score)] = (*rgb_of(NO_GO_COLOUR), 150 if behind else 255)
+    axes.imshow(no_go, extent=_extent(scoremap.grid, behind), interpolation="nearest")
     bar = figure.colorbar(shown, ax=axes, label="expected score", shrink=0.6, pad=0.01)
-    bar.solids.set_alpha(1.0)
+    if bar.solids is not None:
+        bar.solids.set_alpha(1.0)
 
 
 def _show_path(axes: Axes, plan: PlanDocument, grid: Grid, behind: Backdrop | None) -> None:
@@ -262,14 +268,17 @@ def _show_path(axes: Axes, plan: PlanDocument, grid: Grid, behind: Backdrop | No
         axes.plot(
             placed[index, 1], placed[index, 0], marker, color=colour, ms=9, mec="white", mew=1.5, label=label, zorder=6
         )
-    axes.legend(loc="upper left", fontsize=9, framealpha=0.85)
 
 
 def _legend(axes: Axes, labels: list[tuple[str, str]]) -> None:
+    """Put a legend below the picture, where it hides nothing, after the marks that are already drawn."""
     from matplotlib.patches import Patch
 
-    handles = [Patch(facecolor=colour, edgecolor="black", lw=0.5, label=text) for colour, text in labels]
-    axes.legend(handles=handles, loc="upper left", fontsize=9, framealpha=0.85)
+    patches = [Patch(facecolor=colour, edgecolor="black", lw=0.5, label=text) for colour, text in labels]
+    marks = axes.get_legend_handles_labels()[0]
+    axes.legend(
+        handles=[*marks, *patches], loc="upper center", bbox_to_anchor=(0.5, -0.01), ncols=6, fontsize=9, frameon=False
+    )
 
 
 def _require_aligned(grid: Grid, behind: Backdrop | None) -> None:

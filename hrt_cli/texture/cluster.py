@@ -18,6 +18,8 @@ RESTARTS = 20
 _SPREAD_FLOOR = 1e-3
 """A channel that varies less than this (Lab units, log units) carries no information and is left out."""
 _DISTINCT_DECIMALS = 3
+_LIGHTNESS_WEIGHT = 0.65
+"""Weight of lightness beside a and b: at full weight a class is spent on the shadows of what is one ground."""
 
 F64 = NDArray[np.float64]
 
@@ -91,6 +93,7 @@ def _transform(centred: F64, settings: FeatureSettings) -> F64:
     colour, texture = settings.block_sizes
     if settings.features == "site":
         weights = np.concatenate([np.full(colour, 1 / np.sqrt(colour)), np.full(texture, 1 / np.sqrt(texture))])
+        weights[0] *= _LIGHTNESS_WEIGHT
         return np.diag(scale * weights)
     return _whitening(centred * scale) * scale
 

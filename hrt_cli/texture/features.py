@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from hrt_cli.errors import ArgumentError
 from hrt_cli.raster.windows import Window
-from hrt_cli.texture.bank import MIN_WAVELENGTH_PX, Filters, GaborBank, amplitudes, halve
-from hrt_cli.texture.colour import HUE_BINS, cell_means, hue_histogram, hue_votes, lab
+from hrt_cli.texture.bank import MIN_WAVELENGTH_PX, GaborBank, amplitudes, halve
+from hrt_cli.texture.colour import HUE_BINS, LUMA, U8, cell_means, hue_histogram, hue_votes, lab, luma
 from hrt_cli.texture.lattice import CellGrid, gaussian_taps, smooth
 
 F32 = NDArray[np.float32]
@@ -191,9 +191,10 @@ class Extractor:
         valid : ndarray [rows, cols] bool
             Both of the window `read_window` names.
         """
-        mean, share, luma = cell_means(np.ascontiguousarray(rgb), np.ascontiguousarray(valid), self.step_px)
+        rgb, valid = np.ascontiguousarray(rgb), np.ascontiguousarray(valid)
+        mean, share = cell_means(rgb, valid, self.step_px)
         halo_r, halo_c = self.halo_cells
-        log_amplitude = self._log_amplitudes(luma, valid, mean, share)
+        log_amplitude = self._log_amplitudes(rgb, valid, mean, share)
         texture = self._texture(log_amplitude, share)
         colour = self._colour(mean, share)
         inner = (slice(halo_r, -halo_r), slice(halo_c, -halo_c))
@@ -206,35 +207,27 @@ class Extractor:
             defined=_dilate(usable)[inner],
         )
 
-    def _log_amplitudes(self, luma: F32, valid: NDArray[np.bool_], mean: F32, share: F32) -> F32:
+    def _log_amplitudes(self, rgb: U8, valid: NDArray[np.bool_], mean: F32, share: F32) -> F32:
         """Return [wavelengths, orientations, rows, cols] on the cells that the texture window needs."""
-        luma_cells = np.float32(0.299) * mean[0] + np.float32(0.587) * mean[1] + np.float32(0.114) * mean[2]
-        local, _ = smooth(luma_cells[None], share, *self._contrast_taps)
-        crop_r = self.halo_cells[0] - (len(self._texture_taps[0]) - 1) - self._filter_cells[0]
-        crop_c = self.halo_cells[1] - (len(self._texture_taps[1]) - 1) - self._filter_cells[1]
-        spare_r, spare_c = crop_r - len(self._contrast_taps[0]), crop_c - len(self._contrast_taps[1])
-        local = local[0, spare_r : local.shape[1] - spare_r, spare_c : local.shape[2] - spare_c]
-        step = self.step_px
-        top, left = crop_r * step, crop_c * step
-        rows, cols = luma.shape[0] - 2 * top, luma.shape[1] - 2 * left
-        inner = (slice(top, top + rows), slice(left, left + cols))
-        level_image = _level(
-            np.ascontiguousarray(luma[inner]), np.ascontiguousarray(valid[inner]), np.ascontiguousarray(local), step
+        local, _ = smooth(luma(mean)[None], share, *self._contrast_taps)
+        crop_r, crop_c = (
+            self.halo_cells[axis] - (len(self._texture_taps[axis]) - 1) - self._filter_cells[axis] for axis in (0, 1)
         )
-        levels = [level_image]
+        spare_r, spare_c = crop_r - len(self._contrast_taps[0]), crop_c - len(self._contrast_taps[1])
+        local = np.ascontiguousarray(local[0, spare_r : local.shape[1] - spare_r, spare_c : local.shape[2] - spare_c])
+        step = self.step_px
+        levels = [_relative_luma(rgb.reshape(len(rgb), -1), valid, local, step, crop_r * step, crop_c * step)]
         for _ in range(max(one.level for one in self.filters)):
             levels.append(halve(levels[-1]))
         margin_r, margin_c = self._filter_cells
-        cells = (rows // step - 2 * margin_r, cols // step - 2 * margin_c)
+        cells = (local.shape[0] - 2 - 2 * margin_r, local.shape[1] - 2 - 2 * margin_c)
         out = np.empty((len(self.filters), self.settings.orientations, *cells), np.float32)
         for index, one in enumerate(self.filters):
-            out[index] = self._cell_amplitudes(levels[one.level], one, cells)
-        return np.log(out + np.float32(_AMPLITUDE_FLOOR))
-
-    def _cell_amplitudes(self, image: F32, one: Filters, cells: tuple[int, int]) -> F32:
-        per_cell = self.step_px >> one.level
-        origin = (self._filter_cells[0] * per_cell, self._filter_cells[1] * per_cell)
-        return amplitudes(image, one, self.settings.orientations, origin, cells, per_cell)
+            per_cell = step >> one.level
+            origin = (margin_r * per_cell, margin_c * per_cell)
+            amplitudes(levels[one.level], one, origin, per_cell, out[index])
+        out += np.float32(_AMPLITUDE_FLOOR)
+        return np.log(out, out=out)
 
     def _texture(self, log_amplitude: F32, share: F32) -> F32:
         """Return the roughness and the texture channels, averaged over the texture window."""
@@ -273,31 +266,52 @@ class Extractor:
 
 
 @njit(cache=True, nogil=True)
-def _level(luma: F32, valid: NDArray[np.bool_], local: F32, step_px: int) -> F32:
-    """Return luma relative to its local mean, minus 1; 0 where invalid.
+def _relative_luma(samples: U8, valid: NDArray[np.bool_], local: F32, step_px: int, top: int, left: int) -> F32:
+    """Return luma relative to its local mean, minus 1, and 0 where invalid: [2, rows, cols / 2], even and odd columns.
 
-    `local` holds the mean of every cell and of one more cell on each side; between cell centres it is
-    interpolated bilinearly.
+    `samples` [rows, 3 · cols] is the image with its channels side by side.
+    `local` holds the mean of every cell wanted and of one more cell on each side; between cell centres it is
+    interpolated bilinearly. `top` and `left` are the pixel at which the cells wanted start.
     """
-    rows, cols = luma.shape
-    out = np.empty((rows, cols), np.float32)
+    rows, cols = (local.shape[0] - 2) * step_px, (local.shape[1] - 2) * step_px
+    out = np.empty((2, rows, cols // 2), np.float32)
     half = step_px // 2
-    line = np.empty(local.shape[1], np.float32)
-    across = np.empty(cols, np.float32)
+    parts = ((np.arange(step_px) + 0.5) / step_px).astype(np.float32)
+    upper, lower = np.empty(cols + 2 * step_px, np.float32), np.empty(cols + 2 * step_px, np.float32)
+    line = np.empty(cols, np.float32)
     floor = np.float32(_LUMA_FLOOR)
+    weights = LUMA
     for r in range(rows):
-        low = (r + half) // step_px
-        part = np.float32(((r + half) % step_px + 0.5) / step_px)
-        for c in range(local.shape[1]):
-            line[c] = local[low, c] + part * (local[low + 1, c] - local[low, c])
+        low, phase = (r + half) // step_px, (r + half) % step_px
+        if r == 0 or phase == 0:
+            _stretch(local[low], step_px, upper)
+            _stretch(local[low + 1], step_px, lower)
+        above, below = upper[step_px : step_px + cols], lower[step_px : step_px + cols]
+        pixels, inside = samples[top + r, 3 * left :], valid[top + r, left:]
+        part = parts[phase]
         for c in range(cols):
-            left = (c + half) // step_px
-            part_c = np.float32(((c + half) % step_px + 0.5) / step_px)
-            across[c] = line[left] + part_c * (line[left + 1] - line[left])
-        for c in range(cols):
-            value = (luma[r, c] - across[c]) / (across[c] + floor)
-            out[r, c] = value if valid[r, c] else np.float32(0)
+            mean = above[c] + part * (below[c] - above[c])
+            value = (
+                weights[0] * np.float32(pixels[3 * c])
+                + weights[1] * np.float32(pixels[3 * c + 1])
+                + weights[2] * np.float32(pixels[3 * c + 2])
+            )
+            relative = (value - mean) / (mean + floor)
+            line[c] = relative if inside[c] else np.float32(0)
+        for c in range(cols // 2):
+            out[0, r, c] = line[2 * c]
+            out[1, r, c] = line[2 * c + 1]
     return out
+
+
+@njit(cache=True, nogil=True)
+def _stretch(cells: F32, step_px: int, out: F32) -> None:
+    """Interpolate a line of cells linearly between their centres; half a cell at each end is left as it is."""
+    half = step_px // 2
+    for cell in range(cells.shape[0] - 1):
+        start, base, rise = cell * step_px + half, cells[cell], cells[cell + 1] - cells[cell]
+        for c in range(step_px):
+            out[start + c] = base + np.float32((c + 0.5) / step_px) * rise
 
 
 def _mean(channels: F32) -> F32:

@@ -103,8 +103,7 @@ def smooth(values: F32, weights: F32, row_taps: F32, col_taps: F32) -> tuple[F32
 
 
 @njit(cache=True, nogil=True)
-def add_folded(acc: F32, upper: F32, lower: F32, tap: np.float32) -> None:
-    """Add `tap` × (`upper` + `lower`) to `acc`, in place: one step of a symmetric filter."""
+def _fold(acc: F32, upper: F32, lower: F32, tap: np.float32) -> None:
     for x in range(acc.shape[0]):
         acc[x] += tap * (upper[x] + lower[x])
 
@@ -119,10 +118,10 @@ def _convolve(image: F32, row_taps: F32, col_taps: F32) -> F32:
     for r in range(rows):
         line[:] = row_taps[0] * image[r + reach_r]
         for t in range(1, reach_r + 1):
-            add_folded(line, image[r + reach_r - t], image[r + reach_r + t], row_taps[t])
+            _fold(line, image[r + reach_r - t], image[r + reach_r + t], row_taps[t])
         out[r] = col_taps[0] * line[reach_c : reach_c + cols]
         for t in range(1, reach_c + 1):
-            add_folded(out[r], line[reach_c - t :][:cols], line[reach_c + t :][:cols], col_taps[t])
+            _fold(out[r], line[reach_c - t :][:cols], line[reach_c + t :][:cols], col_taps[t])
     return out
 
 

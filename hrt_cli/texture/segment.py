@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Generator, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import closing
 from dataclasses import dataclass
 from typing import TypeVar
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from hrt_cli.errors import ArgumentError
@@ -17,15 +17,17 @@ from hrt_cli.progress import Progress, silent
 from hrt_cli.raster.windows import ImageSource, Window, blocks
 from hrt_cli.texture.cluster import Sample, cluster
 from hrt_cli.texture.features import FEATURE_SETS, ROTATIONS, Extractor, FeatureSettings
+from hrt_cli.texture.label import NODATA, cell_scores, count_classes, label
 from hrt_cli.texture.lattice import CellGrid
 from hrt_cli.texture.model import MAX_CLASSES, TextureModel
 
-NODATA = 255
-SAMPLE_TILE_PX = 256
+SAMPLE_TILE_PX = 512
 """Side of the tiles that the sample is drawn from; fixed, so that the sample depends on the seed alone."""
-MAX_SAMPLE_TILES = 96
-MAX_SAMPLE = 60_000
+MAX_SAMPLE_TILES = 64
+MAX_SAMPLE = 40_000
 """Patches K-means sees."""
+STRIP_PX = 2048
+"""Blocks of a row are worked on together up to this width."""
 _LOOK_AHEAD = 2
 """Blocks in work or waiting for their turn, per worker."""
 
@@ -63,10 +65,10 @@ class SegmentSpec:
     wavelengths_m: tuple[float, ...] | None = None
     seed: int = 0
     orientations: int = 6
-    texture_sigma_px: float = 12.0
-    colour_sigma_px: float = 6.0
+    texture_sigma_px: float = 16.0
+    colour_sigma_px: float = 8.0
     contrast_sigma_px: float = 12.0
-    step_px: int = 4
+    step_px: int = 8
 
     def settings(self, pixel_m: tuple[float, float]) -> FeatureSettings:
         """Return the settings in metres for an image with these pixels.
@@ -159,7 +161,7 @@ def predict(
     model: TextureModel,
     sink: Sink,
     *,
-    block_px: int = 512,
+    block_px: int = 1024,
     workers: int = 1,
     progress: Progress = silent,
 ) -> SegmentStats:
@@ -188,16 +190,21 @@ def predict(
     mean, gain, offset = model.linear_scores()
     windows = list(blocks(source.shape, block_px, source.anchor))
 
-    def classify(window: Window) -> tuple[Window, NDArray[np.uint8], int]:
-        return window, *_classify(source, extractor, window, mean, gain, offset)
+    def classify(strip: list[Window]) -> tuple[NDArray[np.uint8], int]:
+        return _classify(source, extractor, _union(strip), mean, gain, offset)
 
     counts = np.zeros(256, np.int64)
-    valid_pixels = 0
-    for done, (window, classes, valid) in enumerate(_in_order(classify, windows, workers), start=1):
-        sink(window, classes)
-        counts += np.bincount(classes.ravel(), minlength=256)
-        valid_pixels += valid
-        progress(done, len(windows))
+    valid_pixels = done = 0
+    strips = list(_strips(windows))
+    with closing(_in_order(classify, strips, workers)) as results:
+        for strip, (classes, valid) in zip(strips, results, strict=True):
+            counts += count_classes(classes)
+            valid_pixels += valid
+            for window in strip:
+                left = window.col - strip[0].col
+                sink(window, np.ascontiguousarray(classes[:, left : left + window.width]))
+                done += 1
+                progress(done, len(windows))
     return SegmentStats(
         class_pixels=tuple(int(n) for n in counts[: model.classes]),
         pixels=source.shape[0] * source.shape[1],
@@ -205,7 +212,24 @@ def predict(
     )
 
 
-def _in_order(work: Callable[[_Item], _Result], items: Iterable[_Item], workers: int) -> Iterator[_Result]:
+def _strips(windows: list[Window]) -> Iterator[list[Window]]:
+    """Join neighbouring blocks of a row: the halo is shared, and long lines suit the kernels."""
+    strip: list[Window] = []
+    for window in windows:
+        if strip and (window.row != strip[0].row or _union([*strip, window]).width > STRIP_PX):
+            yield strip
+            strip = []
+        strip.append(window)
+    if strip:
+        yield strip
+
+
+def _union(strip: list[Window]) -> Window:
+    first, last = strip[0], strip[-1]
+    return Window(first.row, first.col, first.height, last.col + last.width - first.col)
+
+
+def _in_order(work: Callable[[_Item], _Result], items: Iterable[_Item], workers: int) -> Generator[_Result]:
     """Map in threads, in order, with a bounded number of results alive; an interruption cancels the rest."""
     if workers <= 1:
         yield from map(work, items)
@@ -233,14 +257,15 @@ def _draw_sample(source: ImageSource, extractor: Extractor, seed: int, workers: 
 
     parts: list[Sample] = []
     wanted = min(len(tiles), MAX_SAMPLE_TILES)
-    for part in _in_order(measure, (int(index) for index in order), workers):
-        if part is not None:
-            parts.append(part)
-            progress(len(parts), wanted)
-        if len(parts) == wanted:
-            break
+    with closing(_in_order(measure, (int(index) for index in order), workers)) as results:
+        for part in results:
+            if part is not None:
+                parts.append(part)
+                progress(len(parts), wanted)
+            if len(parts) == wanted:
+                break
     if not parts:
-        raise ArgumentError("no valid pixel in the image: there is nothing to segment")
+        raise ArgumentError("no valid pixel in the image (no patch of it is half valid): there is nothing to segment")
     return Sample.joined(parts)
 
 
@@ -282,87 +307,12 @@ def _classify(
     rgb, valid = source.read(tile)
     top, left = window.row - tile.row, window.col - tile.col
     inner = np.ascontiguousarray(valid[top : top + window.height, left : left + window.width])
-    classes = np.full(inner.shape, NODATA, np.uint8)
     count = int(np.count_nonzero(inner))
-    if count:
-        patches = extractor.patches(rgb, valid)
-        scores = _scores(patches.values, mean, gain, offset)
-        step = extractor.step_px
-        first_row = window.row + source.anchor[0] - grid.row * step
-        first_col = window.col + source.anchor[1] - grid.col * step
-        _label(scores, patches.defined, inner, step, first_row, first_col, classes)
-    return classes, count
-
-
-@njit(cache=True, nogil=True)
-def _scores(
-    values: NDArray[np.float32],
-    mean: NDArray[np.float32],
-    gain: NDArray[np.float32],
-    offset: NDArray[np.float32],
-) -> NDArray[np.float32]:
-    """Return gain · (values − mean) + offset per cell, [classes, rows, cols], summed channel by channel."""
-    channels, rows, cols = values.shape
-    out = np.empty((gain.shape[0], rows, cols), np.float32)
-    for k in range(gain.shape[0]):
-        for r in range(rows):
-            line = out[k, r]
-            line[:] = offset[k]
-            for channel in range(channels):
-                source, weight, centre = values[channel, r], gain[k, channel], mean[channel]
-                for c in range(cols):
-                    line[c] += weight * (source[c] - centre)
-    return out
-
-
-@njit(cache=True, nogil=True)
-def _label(
-    scores: NDArray[np.float32],
-    defined: NDArray[np.bool_],
-    valid: NDArray[np.bool_],
-    step_px: int,
-    first_row: int,
-    first_col: int,
-    classes: NDArray[np.uint8],
-) -> None:
-    """Give every valid pixel the class of least score, scores interpolated bilinearly between cell centres.
-
-    `first_row`, `first_col`: where pixel (0, 0) lies, in pixels from the corner of cell (0, 0). Where one class wins at
-    all four corners it wins between them, for bilinear weights are a convex combination.
-    """
-    kinds, rows, cols = scores.shape
-    best = np.zeros((rows, cols), np.uint8)
-    for r in range(rows):
-        for c in range(cols):
-            for k in range(1, kinds):
-                if scores[k, r, c] < scores[best[r, c], r, c]:
-                    best[r, c] = k
-    half = step_px // 2
-    for y in range(valid.shape[0]):
-        own_row = (first_row + y) // step_px
-        low_row = (first_row + y - half) // step_px
-        part_r = np.float32(((first_row + y - half) % step_px + 0.5) / step_px)
-        for x in range(valid.shape[1]):
-            if not valid[y, x] or not defined[own_row, (first_col + x) // step_px]:
-                continue
-            low_col = (first_col + x - half) // step_px
-            one = best[low_row, low_col]
-            if (
-                best[low_row, low_col + 1] == one
-                and best[low_row + 1, low_col] == one
-                and best[low_row + 1, low_col + 1] == one
-            ):
-                classes[y, x] = one
-                continue
-            part_c = np.float32(((first_col + x - half) % step_px + 0.5) / step_px)
-            least = np.float32(np.inf)
-            for k in range(kinds):
-                upper = scores[k, low_row, low_col]
-                upper += part_c * (scores[k, low_row, low_col + 1] - upper)
-                lower = scores[k, low_row + 1, low_col]
-                lower += part_c * (scores[k, low_row + 1, low_col + 1] - lower)
-                score = upper + part_r * (lower - upper)
-                if score < least:
-                    least = score
-                    classes[y, x] = k
-    return
+    if count == 0:
+        return np.full(inner.shape, NODATA, np.uint8), 0
+    patches = extractor.patches(rgb, valid)
+    scores = cell_scores(patches.values, mean, gain, offset)
+    step = extractor.step_px
+    first_row = window.row + source.anchor[0] - grid.row * step
+    first_col = window.col + source.anchor[1] - grid.col * step
+    return label(scores, patches.defined, inner, step, first_row, first_col), count

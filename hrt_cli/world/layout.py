@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy import ndimage
 
-from .noise import FloatArray, derive_seed, fbm, warp, worley
+from hrt_cli.world.noise import FloatArray, derive_seed, fbm, warp, worley
 
 Mask = npt.NDArray[np.bool_]
 Classes = npt.NDArray[np.uint8]
@@ -39,6 +39,16 @@ class Frame:
     def scale(self) -> float:
         """Shrink factor in [0.3, 1] of large features, so that a small site still holds every class."""
         return float(np.clip(self.extent_m / REFERENCE_EXTENT_M, 0.3, 1.0))
+
+    @property
+    def spread(self) -> float:
+        """Factor in [0.3, 2] on the size of regions: a larger site has larger fields."""
+        return float(np.clip(self.extent_m / REFERENCE_EXTENT_M, 0.3, 2.0))
+
+    def coarse(self) -> Frame:
+        """Give the same ground in about 100 pixels a side, for weighing layouts against one another."""
+        step = max(1, min(self.rows, self.cols) // 96)
+        return Frame(self.rows // step, self.cols // step, self.pixel_m * step)
 
     @cached_property
     def y_m(self) -> FloatArray:
@@ -114,7 +124,7 @@ def region_field(frame: Frame, wavelength_m: float, seed: int, *, block_m: float
     float64 array, [rows, cols]
         Standard deviation about 1.
     """
-    size = wavelength_m * frame.scale
+    size = wavelength_m * frame.spread
     y, x = frame.y_m, frame.x_m
     if block_m > 0.0:
         rough_y, rough_x = warp(y, x, 0.8 * block_m, 0.15 * block_m, derive_seed(seed, "rough"), octaves=3)
@@ -122,7 +132,7 @@ def region_field(frame: Frame, wavelength_m: float, seed: int, *, block_m: float
         y, x = y - 0.85 * block_m * blocks.dy, x - 0.85 * block_m * blocks.dx
     y, x = warp(y, x, 0.55 * size, 0.10 * size, derive_seed(seed, "warp"))
     broad = fbm(y, x, size, derive_seed(seed, "broad"), octaves=2, gain=0.3)
-    return broad + 0.07 * fbm(y, x, 0.14 * size, derive_seed(seed, "rim"), octaves=4, gain=0.55)
+    return broad + 0.07 * fbm(y, x, 0.14 * size, derive_seed(seed, "rim"), octaves=3, gain=0.55)
 
 
 def top_share(field: FloatArray, share: float, allowed: Mask) -> Mask:
@@ -133,6 +143,11 @@ def top_share(field: FloatArray, share: float, allowed: Mask) -> Mask:
     values = field[allowed]
     threshold = np.partition(values, values.size - wanted)[values.size - wanted]
     return np.asarray(allowed & (field >= threshold))
+
+
+def border_share(classes: Classes) -> float:
+    """Give the share of neighbouring pixel pairs that differ: short, smooth borders score low."""
+    return float((np.diff(classes, axis=0) != 0).mean() + (np.diff(classes, axis=1) != 0).mean())
 
 
 def lay_roads(frame: Frame, width_m: float, avoid: Mask, seed: int) -> Roads:
@@ -177,7 +192,7 @@ def _lateral(
     along = np.linspace(-0.5 * reach, 0.5 * reach, 1024)
     line = offset_m + 0.09 * bend * fbm(along, np.zeros_like(along), bend, seed, octaves=2, gain=0.25)
     slope = np.gradient(line, along)
-    return (v - np.interp(u, along, line)) / np.sqrt(1.0 + np.interp(u, along, slope) ** 2)
+    return np.asarray((v - np.interp(u, along, line)) / np.sqrt(1.0 + np.interp(u, along, slope) ** 2))
 
 
 def grow_crowns(frame: Frame, grove: Mask, forbidden: Mask, seed: int) -> Crowns:

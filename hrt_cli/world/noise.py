@@ -7,6 +7,7 @@ is computed, on however many threads. Lattice values come from an integer hash, 
 from __future__ import annotations
 
 import zlib
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,7 +20,7 @@ _GRADIENT_SD = 0.181
 """Standard deviation of one octave of `_gradient_noise`, measured; divides it out so that amplitudes are sds."""
 
 _TURN_COS, _TURN_SIN = 0.7986, 0.6018
-"""Each octave's lattice is turned by 37 degrees against the one before, so that no axis shows."""
+"""Each octave's lattice is turned by 37 degrees against the one before (the first by the seed): no axis shows."""
 
 
 _KEY_STEPS = 4194304.0
@@ -98,8 +99,10 @@ def _fbm(y: FloatArray, x: FloatArray, wavelength: float, octaves: int, gain: fl
     for octave in range(octaves):
         power += gain ** (2 * octave)
     norm = 1.0 / (_GRADIENT_SD * np.sqrt(power))
+    turn = 2.0 * np.pi * np.float64(_hash(seed, octaves, 0) >> np.uint64(40)) / 16777216.0
+    cos, sin = np.cos(turn) / wavelength, np.sin(turn) / wavelength
     for i in range(y.size):
-        py, px = y[i] / wavelength, x[i] / wavelength
+        py, px = cos * y[i] - sin * x[i], sin * y[i] + cos * x[i]
         total, amplitude = 0.0, 1.0
         for octave in range(octaves):
             total += amplitude * _gradient_noise(py, px, seed + octave)
@@ -200,6 +203,15 @@ def worley(y_m: FloatArray, x_m: FloatArray, size_m: float, seed: int) -> Cells:
     """
     stack = _cells(np.ravel(y_m), np.ravel(x_m), size_m, seed).reshape(5, *y_m.shape)
     return Cells(stack[0], stack[1], stack[2], stack[3], stack[4])
+
+
+def within(
+    mask: npt.NDArray[np.bool_], make: Callable[[FloatArray, FloatArray], FloatArray], y_m: FloatArray, x_m: FloatArray
+) -> FloatArray:
+    """Compute `make(y, x)` where `mask` is true only; 0 elsewhere."""
+    out = np.zeros(mask.shape)
+    out[mask] = make(y_m[mask], x_m[mask])
+    return out
 
 
 def warp(

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .noise import FloatArray, derive_seed, fbm, hashed, sticks, warp, worley
+from hrt_cli.world.noise import FloatArray, derive_seed, fbm, hashed, sticks, warp, worley
 
 
 @dataclass(frozen=True)
@@ -125,7 +125,7 @@ def pavement(p: Points) -> Shade:
     crack *= np.clip(0.5 + 0.8 * p.fbm("healed", 4.0), 0.0, 1.0)
     grain = p.fbm("grain", 0.11)
     mix = 0.5 + 0.10 * p.fbm("stain", 1.8, 3) + 0.12 * wear
-    return mix, 1.0 + 0.032 * grain + 0.035 * wear - 0.20 * crack
+    return mix, 1.0 + 0.036 * grain + 0.035 * wear - 0.20 * crack
 
 
 def tracks(p: Points) -> Shade:
@@ -134,7 +134,7 @@ def tracks(p: Points) -> Shade:
     smear = fbm(p.lateral_m, 0.06 * (p.y_m + p.x_m), 0.22, derive_seed(p.seed, "smear"), octaves=2)
     grain = p.fbm("grain", 0.12)
     mix = 0.5 + 0.10 * p.fbm("stain", 2.0, 2) + 0.22 * rut + 0.05 * smear
-    return mix, 1.0 + 0.036 * grain + 0.018 * smear + 0.05 * rut
+    return mix, 1.0 + 0.046 * grain + 0.018 * smear + 0.05 * rut
 
 
 def boulders(p: Points) -> Shade:
@@ -171,13 +171,11 @@ def foliage(p: Points) -> Shade:
 
 def ash(p: Points) -> Shade:
     """Burnt ground: char mottled with ash in soft drifts and specks, black stubble standing in it."""
-    y, x = warp(p.y_m, p.x_m, 1.2, 0.25, p.seed, octaves=3)
-    drift = fbm(y, x, 1.0, derive_seed(p.seed, "drift"), octaves=5, gain=0.62)
-    patch = np.clip(fbm(y, x, 0.7, derive_seed(p.seed, "white ash"), octaves=4, gain=0.7) - 1.3, 0.0, 1.2)
-    speck = np.clip(p.fbm("speck", 0.16, 2, 0.8) - 1.4, 0.0, 1.5)
-    stubble = p.emboss("stubble", 0.15, 2, 0.8, 0.03)
-    mix = 0.36 + 0.075 * drift + 0.30 * patch + 0.12 * speck
-    return mix, 1.0 + 0.045 * stubble + 0.03 * drift
+    drift = p.fbm("drift", 1.1, 4, 0.6)
+    dust = np.clip(p.fbm("dust", 0.5, 4, 0.8) - 0.2, 0.0, 2.0)
+    stubble = p.fbm("stubble", 0.13, 2, 0.8)
+    mix = 0.32 + 0.075 * drift + 0.13 * dust * (1.0 + 0.5 * drift)
+    return mix, 1.0 + 0.05 * stubble
 
 
 def deadfall(p: Points) -> Shade:
@@ -202,8 +200,8 @@ def rippled_sand(p: Points) -> Shade:
     phase = 2.0 * np.pi * (0.92 * y - 0.39 * x) / 0.33
     ripple = np.sin(phase + 0.5 * np.sin(phase)) * np.clip(0.80 + 0.40 * p.fbm("swell", 2.5), 0.25, 1.4)
     grain = p.fbm("grain", 0.11)
-    stain = p.fbm("stain", 1.6, 4, 0.6)
-    return 0.5 + 0.12 * stain + 0.10 * ripple, 1.0 + 0.042 * ripple + 0.030 * grain
+    stain = p.fbm("stain", 1.2, 4, 0.7)
+    return 0.5 + 0.16 * stain + 0.10 * ripple, 1.0 + 0.012 * stain + 0.042 * ripple + 0.036 * grain
 
 
 def leaf_blades(p: Points) -> Shade:
@@ -241,7 +239,7 @@ def rubble(p: Points) -> Shade:
     lit = np.where(is_big, 0.50 * p.facing(big.dy, big.dx), 0.34 * p.facing(small.dy, small.dx))
     gap = np.clip(1.0 - (small.second - small.nearest) / 0.30, 0.0, 1.0) * ~is_big
     algae = p.fbm("algae", 0.6, 4, 0.65)
-    return 0.45 + 0.5 * (key - 0.5) - 0.10 * algae, 0.92 + 0.18 * hashed(key, 2) + 0.8 * lit - 0.16 * gap - 0.03 * algae
+    return 0.45 + 0.5 * (key - 0.5) - 0.10 * algae, 0.90 + 0.24 * hashed(key, 2) + 0.9 * lit - 0.18 * gap - 0.03 * algae
 
 
 def deep_water(p: Points) -> Shade:

@@ -6,9 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
+from scipy import ndimage
 
-from .layout import Frame, Mask, box_blur
-from .noise import FloatArray, derive_seed, fbm, hashed, warp, worley
+from hrt_cli.world.layout import Frame, Mask, box_blur
+from hrt_cli.world.noise import FloatArray, derive_seed, fbm, hashed, warp, worley
 
 AMBIENT = 0.42
 """Share of the light on level ground that comes from the sky, and so reaches the shadows too."""
@@ -42,10 +43,10 @@ def terrain(frame: Frame, amplitude_m: float, seed: int) -> tuple[FloatArray, Fl
 
     `amplitude_m` is the standard deviation of the broad relief on a site of reference size.
     """
-    size = 30.0 * frame.scale
+    size = 34.0 * frame.spread
     y, x = warp(frame.y_m, frame.x_m, size, 0.1 * size, derive_seed(seed, "terrain warp"))
-    broad = amplitude_m * frame.scale * fbm(y, x, size, derive_seed(seed, "terrain"), octaves=2, gain=0.25)
-    bumps = 0.05 * fbm(y, x, 3.0, derive_seed(seed, "bumps"), octaves=3, gain=0.4)
+    broad = amplitude_m * frame.spread * fbm(y, x, size, derive_seed(seed, "terrain"), octaves=3, gain=0.25)
+    bumps = 0.04 * fbm(frame.y_m, frame.x_m, 3.0, derive_seed(seed, "bumps"), octaves=3, gain=0.4)
     return broad, bumps
 
 
@@ -100,6 +101,18 @@ def shading(dsm_m: FloatArray, pixel_m: float, sun: Sun, *, relief_gain: float =
     return np.asarray(AMBIENT + (1.0 - AMBIENT) * np.clip(facing / up, 0.0, 1.9))
 
 
+def openness(dsm_m: FloatArray, pixel_m: float, *, reach_m: float = 0.9) -> FloatArray:
+    """Share of the sky's light that reaches a pixel: less in clefts and hollows narrower than `reach_m`.
+
+    Returns
+    -------
+    float64 array, [rows, cols]
+        In [0.7, 1]; falls with the depth below the mean height of the surroundings.
+    """
+    around = ndimage.uniform_filter(dsm_m, max(1, round(reach_m / pixel_m)), mode="nearest")
+    return np.asarray(np.clip(1.0 - 0.6 * np.clip(around - dsm_m, 0.0, None) / reach_m, 0.7, 1.0))
+
+
 def _limited_slope(height: FloatArray, axis: int) -> FloatArray:
     """Difference along `axis`, the smaller of the two one-sided ones (minmod), so that a step draws no outline."""
     step = np.diff(height, axis=axis)
@@ -115,7 +128,8 @@ def cast_shadow(dsm_m: FloatArray, pixel_m: float, sun: Sun, *, penumbra_m: floa
     """Find how deep each pixel lies in the shadow of what stands between it and the sun.
 
     The height of the shadow's upper edge is carried row by row away from the sun, falling by the tangent of the
-    sun's elevation: one pass over the picture instead of a ray for each pixel.
+    sun's elevation: one pass over the picture instead of a ray for each pixel. Interpolation between columns
+    softens it, so that things a few pixels wide cast a somewhat short shadow.
 
     Returns
     -------

@@ -27,6 +27,9 @@ from hrt_cli.world.synth import Site, SiteSpec, make_site
 STAGE = "synth"
 STAGE_VERSION = 1
 
+DSM_STEP_M = 0.01
+THERMAL_STEP_C = 0.1
+
 # A made-up place in a real CRS, far from any zone's edge, so that ground metres and map metres nearly agree.
 _PLACES = {
     "meadow": ("EPSG:32632", 431_000.0, 5_210_000.0),
@@ -107,15 +110,18 @@ def _write_rasters(files: dict[str, Path], site: Site, grid: Grid, provenance: P
     names = list(site.class_names)
     with publishing_classes(files["truth"], grid, names, provenance, tags={}, creation={}) as writer:
         writer.write(whole, site.truth)
-    _write_field(files["dsm"], "height above the datum in metres", site.dsm, grid, provenance)
+    _write_field(files["dsm"], "height above the datum in metres", site.dsm, DSM_STEP_M, grid, provenance)
     if site.thermal_c is not None:
-        _write_field(files["thermal"], "temperature in degrees Celsius", site.thermal_c, grid, provenance)
+        _write_field(files["thermal"], "temperature in degrees Celsius", site.thermal_c, THERMAL_STEP_C, grid, provenance)
 
 
-def _write_field(path: Path, what: str, values: NDArray[np.float32], grid: Grid, provenance: Provenance) -> None:
+def _write_field(
+    path: Path, what: str, values: NDArray[np.float32], step: float, grid: Grid, provenance: Provenance
+) -> None:
+    """Write a field rounded to `step`, its instrument's resolution: digits that mean nothing do not compress."""
     layout = Layout((what,), "float32", nodata=-9999.0, resampling="average")
     with publishing_cog(path, grid, layout, provenance) as writer:
-        writer.write(Window(0, 0, grid.rows, grid.cols), values)
+        writer.write(Window(0, 0, grid.rows, grid.cols), np.round(values / step) * np.float32(step))
 
 
 def _aoi(site: Site, grid: Grid) -> dict[str, Any]:

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from scipy import ndimage
 
-from .layout import Frame, Mask
-from .noise import FloatArray, derive_seed, fbm, worley
+from hrt_cli.world.layout import Frame, Mask
+from hrt_cli.world.noise import FloatArray, derive_seed, fbm, worley
 
 Polygon = tuple[tuple[float, float], ...]
 """Convex polygon of (row, col) corners, not closed; (0, 0) is the upper left corner of the upper left pixel."""

@@ -10,14 +10,13 @@ from scipy import ndimage
 
 from hrt_cli.errors import ArgumentError
 from hrt_cli.progress import Progress, silent
-
-from . import paint
-from .layout import Frame, Mask
-from .noise import FloatArray, derive_seed, fbm, worley
-from .relief import AMBIENT, Sun, cast_shadow, shading, taper
-from .scenes import SCENES, Ground, Scene
-from .survey import outline, start_cell, valid_area
-from .thermal import Hotspot, thermal_layer
+from hrt_cli.world import paint
+from hrt_cli.world.layout import Frame, Mask
+from hrt_cli.world.noise import FloatArray, derive_seed, fbm, worley
+from hrt_cli.world.relief import AMBIENT, Sun, cast_shadow, openness, shading, taper
+from hrt_cli.world.scenes import SCENES, Ground, Scene
+from hrt_cli.world.survey import outline, start_cell, valid_area
+from hrt_cli.world.thermal import Hotspot, thermal_layer
 
 NODATA_CLASS = 255
 """Class id of pixels outside the valid area."""
@@ -131,7 +130,8 @@ def make_site(spec: SiteSpec, progress: Progress = silent) -> Site:
     aoi = outline(frame, valid)
     names = [material.name for material in scene.materials]
     passable = np.array([m.drivability > 0.25 and not m.obstacle for m in scene.materials])[ground.classes]
-    thermal_c, hotspots = None, ()
+    thermal_c: npt.NDArray[np.float32] | None = None
+    hotspots: tuple[Hotspot, ...] = ()
     if scene.thermal:
         ambient = np.array([m.ambient_c for m in scene.materials])[ground.classes]
         allowed = valid & (ground.classes == names.index(str(scene.target_class)))
@@ -183,6 +183,7 @@ def _photograph(frame: Frame, scene: Scene, ground: Ground, seed: int, progress:
     sun = _sun(seed)
     albedo = _paint(frame, scene, ground, sun, seed, progress)
     light = shading(ground.dsm_m, frame.pixel_m, sun, relief_gain=scene.relief_gain)
+    light *= openness(ground.dsm_m, frame.pixel_m)
     if scene.under_water:
         shade = 0.55 * cast_shadow(ground.dsm_m, frame.pixel_m, sun, penumbra_m=0.6)
         exposed = albedo * (light * (1.0 - (1.0 - AMBIENT) * shade))[..., None]

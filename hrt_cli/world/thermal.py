@@ -8,8 +8,8 @@ import numpy as np
 import numpy.typing as npt
 from scipy import ndimage
 
-from .layout import Frame, Mask
-from .noise import FloatArray, derive_seed, fbm
+from hrt_cli.world.layout import Frame, Mask
+from hrt_cli.world.noise import FloatArray, derive_seed, fbm
 
 _PEAK_RANGE_C = (60.0, 300.0)
 _DIAMETER_RANGE_M = (0.5, 2.0)

@@ -6,7 +6,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter
 from scipy.signal import fftconvolve
 
-from hrt_cli.texture.bank import HALVING_TAPS, GaborBank, amplitudes, halve
+from hrt_cli.texture.bank import HALVING_TAPS, Filters, GaborBank, amplitudes, columns_apart, halve
 
 F64 = NDArray[np.float64]
 
@@ -35,12 +35,25 @@ def reference(image: F64, wavelength_m: float, orientations: int, pixel_m: tuple
     )
 
 
+def answers(
+    image: F64, one: Filters, orientations: int, origin: tuple[int, int], cells: tuple[int, int]
+) -> NDArray[np.float32]:
+    """Cell amplitudes of an image, cells 4 pixels a side and starting at pixel `origin`."""
+    level = columns_apart(image.astype(np.float32))
+    for _ in range(one.level):
+        level = halve(level)
+    out = np.full((orientations, *cells), np.nan, np.float32)
+    scale = 1 << one.level
+    amplitudes(level, one, (origin[0] // scale, origin[1] // scale), 4 // scale, out)
+    return out
+
+
 def test_the_finest_level_agrees_with_the_full_kernel() -> None:
     image = np.random.default_rng(1).normal(size=(96, 104))
     for orientations in (2, 5, 6):
         (one,) = GaborBank((4.0,), orientations).filters((1.0, 1.0), 4)
         assert (one.level, one.stride) == (0, 2)
-        got = amplitudes(image.astype(np.float32), one, orientations, (16, 20), (16, 15), 4)
+        got = answers(image, one, orientations, (16, 20), (16, 15))
         samples = reference(image, 4.0, orientations, (1.0, 1.0))[:, 16:80:2, 20:80:2]
         expected = samples.reshape(orientations, 16, 2, 15, 2).mean(axis=(2, 4))
         assert np.abs(got - expected).max() < 2e-5 * expected.mean()
@@ -50,14 +63,14 @@ def test_pixels_that_are_not_square() -> None:
     image = np.random.default_rng(2).normal(size=(120, 120))
     pixel_m = (0.05, 0.03)
     (one,) = GaborBank((0.2,), 6).filters(pixel_m, 4)
-    got = amplitudes(image.astype(np.float32), one, 6, (20, 20), (20, 20), 4)
+    got = answers(image, one, 6, (20, 20), (20, 20))
     samples = reference(image, 0.2, 6, pixel_m)[:, 20:100:2, 20:100:2]
     expected = samples.reshape(6, 20, 2, 20, 2).mean(axis=(2, 4))
     assert np.abs(got - expected).max() < 2e-5 * expected.mean()
 
 
 @pytest.mark.parametrize(
-    ("wavelength_px", "level", "correlation"), [(8.0, 1, 0.997), (16.0, 2, 0.994), (32.0, 2, 0.99)]
+    ("wavelength_px", "level", "correlation"), [(8.0, 1, 0.985), (16.0, 2, 0.997), (32.0, 2, 0.997)]
 )
 def test_the_pyramid_agrees_with_the_full_kernel(wavelength_px: float, level: int, correlation: float) -> None:
     # Amplitudes fall with frequency, as in photographs.
@@ -68,20 +81,16 @@ def test_the_pyramid_agrees_with_the_full_kernel(wavelength_px: float, level: in
     bank = GaborBank((wavelength_px,), 6)
     (one,) = bank.filters((1.0, 1.0), 4)
     assert one.level == level
-    small = image.astype(np.float32)
-    for _ in range(level):
-        small = halve(small)
     margin = -(-bank.reach_px((1.0, 1.0), 4)[0] // 4)
     cells = (128 - 2 * margin,) * 2
-    per_cell = 4 >> level
-    got = amplitudes(small, one, 6, (margin * per_cell,) * 2, cells, per_cell)
+    got = answers(image, one, 6, (4 * margin,) * 2, cells)
     inner = slice(4 * margin, -4 * margin)
     full = reference(image, wavelength_px, 6, (1.0, 1.0))[:, inner, inner]
     expected = full.reshape(6, cells[0], 4, cells[1], 4).mean(axis=(2, 4))
     for one_got, one_expected in zip(got, expected, strict=True):
         patches = [uniform_filter(cells_of, 6)[::6, ::6].ravel() for cells_of in (one_got, one_expected)]
         assert np.corrcoef(*patches)[0, 1] > correlation
-        assert one_got.mean() == pytest.approx(one_expected.mean(), rel=0.02)
+        assert one_got.mean() == pytest.approx(one_expected.mean(), rel=0.03)
 
 
 @pytest.mark.parametrize("wavelength_px", [4.0, 5.7, 8.0, 16.0, 32.0, 64.0])
@@ -95,11 +104,7 @@ def test_a_wave_answers_half_its_amplitude_and_a_constant_nothing(wavelength_px:
     theta = np.pi * orientation / 6
     wave = 0.3 * np.cos(2 * np.pi * (x * np.cos(theta) + y * np.sin(theta)) / wavelength_px)
     for image, answer, tolerance in [(wave, 0.15, 2e-3), (np.full((size, size), 5.0), 0.0, 5e-3)]:
-        level = image.astype(np.float32)
-        for _ in range(one.level):
-            level = halve(level)
-        per_cell = 4 >> one.level
-        got = amplitudes(level, one, 6, (margin * per_cell,) * 2, (6, 6), per_cell)
+        got = answers(image, one, 6, (4 * margin,) * 2, (6, 6))
         assert np.abs(got[orientation] - answer).max() < tolerance
 
 
@@ -108,4 +113,7 @@ def test_halving_filters_and_takes_every_second_pixel() -> None:
     taps = np.concatenate([HALVING_TAPS[::-1], HALVING_TAPS])
     assert taps.sum() == pytest.approx(1, abs=1e-4)
     smooth = np.apply_along_axis(np.convolve, 1, np.apply_along_axis(np.convolve, 0, image, taps), taps)
-    assert halve(image)[2:-2, 2:-2] == pytest.approx(smooth[8:-8:2, 8:-8:2], abs=1e-6)
+    halved = halve(columns_apart(image))
+    whole = np.empty((20, 24))
+    whole[:, 0::2], whole[:, 1::2] = halved
+    assert whole[2:-2, 2:-2] == pytest.approx(smooth[8:-8:2, 8:-8:2], abs=1e-6)

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from hrt_cli.errors import ArgumentError
 from hrt_cli.raster.windows import Window
+from hrt_cli.texture import segment
 from hrt_cli.texture.features import Extractor
 from hrt_cli.texture.model import TextureModel, describe
 from hrt_cli.texture.segment import NODATA, SegmentSpec, SegmentStats, fit, predict
@@ -44,6 +45,15 @@ def test_the_answer_does_not_depend_on_blocks_workers_or_threads(site: ArraySour
         cv2.setNumThreads(threads)
     for name, array in model.to_arrays().items():
         assert np.array_equal(array, second.to_arrays()[name]), name
+
+
+def test_the_sample_is_drawn_by_the_seed_alone(site: ArraySource, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(segment, "SAMPLE_TILE_PX", 64)
+    monkeypatch.setattr(segment, "MAX_SAMPLE_TILES", 9)
+    monkeypatch.setattr(segment, "MAX_SAMPLE", 300)
+    one, two = (fit(site, SegmentSpec(4), workers=workers) for workers in (1, 2))
+    assert np.array_equal(one.centroids, two.centroids)
+    assert not np.array_equal(one.mean, fit(site, SegmentSpec(4, seed=1)).mean)
 
 
 def test_every_invalid_pixel_and_no_other_is_nodata(site: ArraySource) -> None:
@@ -155,7 +165,7 @@ def test_images_without_textures_are_refused() -> None:
         fit(ArraySource(flat), SegmentSpec(2))
     with pytest.raises(ArgumentError, match="no valid pixel"):
         fit(ArraySource(flat, np.zeros((100, 100), bool)), SegmentSpec(2))
-    few = patchwork(100, 100)[:4, :8]
+    few = patchwork(100, 100)[:16, :16]
     with pytest.raises(ArgumentError, match=r"only \d+ distinct textures, K=5 asked"):
         fit(ArraySource(few), SegmentSpec(5))
 
@@ -169,3 +179,50 @@ def test_an_interruption_in_the_sink_ends_the_threads(site: ArraySource) -> None
     with pytest.raises(KeyboardInterrupt):
         predict(site, model, sink, block_px=32, workers=2)
     assert len(site.windows) < 30
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (5, 70), (70, 6)])
+def test_slivers_are_classified(site: ArraySource, shape: tuple[int, int]) -> None:
+    model = fit(site, SegmentSpec(3))
+    sliver = ArraySource(site.rgb[: shape[0], : shape[1]].copy(), pixel_m=site.pixel_m, anchor=(3, 2))
+    classes, stats = classes_of(sliver, model)
+    assert (classes < 3).sum() == sum(stats.class_pixels)
+    if max(shape) > 1:
+        assert (classes < 3).mean() > 0.9
+
+
+def stripes(vertical: bool) -> NDArray[np.uint8]:
+    y, x = np.mgrid[:256, :256]
+    wave = 50 * np.sin(2 * np.pi * (x if vertical else y) / 8)
+    noise = np.random.default_rng(5).normal(size=(256, 256))
+    return np.repeat((120 + wave + 10 * noise)[..., None], 3, axis=2).astype(np.uint8)
+
+
+def test_direction_counts_when_asked_and_only_then() -> None:
+    noise = np.random.default_rng(6).normal(120, 30, (256, 256, 1)).clip(0, 255)
+    parts = [stripes(True), stripes(False), np.repeat(noise, 3, axis=2).astype(np.uint8)]
+    source = ArraySource(np.concatenate(parts, axis=1))
+    for rotation, same in [("aware", False), ("invariant", True), ("sorted", True)]:
+        model = fit(source, SegmentSpec(2 if same else 3, features="texture", rotation=rotation))
+        classes, _ = classes_of(source, model)
+        votes = [int(np.bincount(classes[:, a : a + 200].ravel()).argmax()) for a in (28, 284, 540)]
+        assert (votes[0] == votes[1]) == same, rotation
+        assert votes[2] not in votes[:2]
+
+
+def test_a_turned_image_gets_the_turned_classes() -> None:
+    source = ArraySource(patchwork(320, 320))
+    model = fit(source, SegmentSpec(4))
+    classes, _ = classes_of(source, model)
+    turned, _ = classes_of(ArraySource(np.rot90(source.rgb).copy()), model)
+    assert (turned == np.rot90(classes)).mean() > 0.98
+
+
+def test_reads_stay_bounded_on_a_wide_raster() -> None:
+    source = ArraySource(np.tile(patchwork(64, 64), (1, 90, 1)))
+    model = fit(source, SegmentSpec(2))
+    source.windows.clear()
+    classes_of(source, model, block_px=256)
+    halo_c = Extractor(model.settings, source.pixel_m).halo_px[1]
+    assert len(source.windows) == 3
+    assert max(window.width for window in source.windows) <= 2048 + 2 * halo_c + 8

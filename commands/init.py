@@ -1,0 +1,33 @@
+"""`hrt init`: a ready project folder."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from hrt_cli import options as opt
+from hrt_cli.artifacts.stage import Existing
+from hrt_cli.progress import Console
+
+
+@click.command(
+    epilog="""\b
+Example:
+  hrt init survey
+  # put your orthomosaic at survey/ortho.tif, then: make -C survey
+"""
+)
+@click.argument("folder", type=opt.PATH)
+@opt.existing_options
+@opt.console_options
+def init(folder: Path, existing: Existing, console: Console) -> None:
+    """Make a project FOLDER with the workflow (Makefile and Snakefile) and its config.yaml."""
+    from hrt_cli.project import create_project
+
+    written = create_project(folder, existing=existing)
+    names = ", ".join(path.name for path in written) or "nothing, all is there"
+    console.result(
+        f"{folder}: wrote {names}; edit config.yaml, then run make -C {folder}",
+        {"output": str(folder), "files": [str(path) for path in written], "up_to_date": not written},
+    )

@@ -1,0 +1,15 @@
+#!/bin/sh
+# The whole flow on a sample meadow: site, classes, scoremap, plan, missions, pictures. Called by `make demo`.
+set -eu
+demo=${DEMO:-demo}
+hrt synth "$demo/site" --scene meadow --size 60 --seed 1 --overwrite
+hrt init "$demo" --overwrite
+# What an operator would write after a look at classes.png: how well the robot drives on each class.
+cp fixtures/demo-scores.json "$demo/scores.json"
+make --no-print-directory -C "$demo" ortho=site/ortho.tif classes=6 scores=scores.json no_go_below=0.2 budget=400
+echo
+hrt evaluate segment "$demo/out/classes.tif" "$demo/site/truth.tif"
+hrt evaluate plan "$demo/out/scoremap.tif" "$demo/out/plan.json"
+echo
+echo "Pictures: $demo/out/classes.png $demo/out/scoremap.png $demo/out/plan.png"
+echo "Missions: $demo/out/mission.plan (QGroundControl) mission.waypoints mission.gpx mission.geojson"

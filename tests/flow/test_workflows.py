@@ -1,0 +1,68 @@
+"""The Makefile and the Snakefile of a project: they run, a second run does nothing, a parameter reruns what it must."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+ENV = {**os.environ, "PATH": f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"}
+
+
+@pytest.fixture
+def project(tmp_path: Path) -> Path:
+    folder = tmp_path / "project"
+    subprocess.run(["hrt", "init", str(folder)], env=ENV, check=True, capture_output=True)
+    shutil.copy(ROOT / "fixtures" / "meadow" / "ortho.tif", folder / "ortho.tif")
+    config = (folder / "config.yaml").read_text()
+    (folder / "config.yaml").write_text(config.replace("budget: 300 ", "budget: 40 ").replace("classes: 5 ", "classes: 4 "))
+    return folder
+
+
+def make(folder: Path, *args: str) -> str:
+    done = subprocess.run(["make", "-C", str(folder), *args], env=ENV, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+@pytest.mark.skipif(shutil.which("make") is None, reason="make is not installed")
+def test_make(project: Path) -> None:
+    make(project)
+    out = project / "out"
+    for name in ("classes.tif", "scoremap.tif", "plan.json", "mission.plan", "mission.gpx", "plan.png", "model.npz"):
+        assert (out / name).stat().st_size > 0
+    assert "Nothing to be done" in make(project)
+    # A touched input with the same bytes: every stage finds itself up to date, and then make is at rest.
+    (project / "ortho.tif").touch()
+    assert "up to date" in make(project)
+    assert "Nothing to be done" in make(project)
+    # Another budget touches neither classes nor scoremap.
+    kept = {name: (out / name).stat().st_mtime_ns for name in ("classes.tif", "scoremap.tif")}
+    again = make(project, "budget=30")
+    assert "hrt plan" in again
+    assert "hrt segment" not in again
+    assert kept == {name: (out / name).stat().st_mtime_ns for name in kept}
+    make(project, "clean")
+    assert not out.exists()
+
+
+@pytest.mark.skipif(shutil.which("snakemake", path=ENV["PATH"]) is None, reason="snakemake is not installed")
+def test_snakemake(project: Path) -> None:
+    command = ["snakemake", "--cores", "1", "--directory", str(project), "--snakefile", str(project / "Snakefile")]
+    done = subprocess.run(command, env=ENV, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert (project / "out" / "mission.plan").stat().st_size > 0
+    again = subprocess.run(command, env=ENV, capture_output=True, text=True, check=True)
+    assert "Nothing to be done" in again.stdout + again.stderr
+
+
+def test_init_leaves_edited_files_alone(project: Path) -> None:
+    refused = subprocess.run(["hrt", "init", str(project)], env=ENV, capture_output=True, text=True, check=False)
+    assert refused.returncode == 1
+    assert "config.yaml" in refused.stderr
+    assert "budget: 40" in (project / "config.yaml").read_text()
