@@ -47,7 +47,7 @@ Example:
 @opt.unreferenced_opt
 @opt.seed_opt
 @opt.workers_opt
-@click.option("--block", type=click.IntRange(64, 4096), default=512, show_default=True, help="Block side in pixels.")
+@click.option("--block", type=click.IntRange(64, 4096), default=1024, show_default=True, help="Block side in pixels.")
 @opt.creation_opt
 @opt.figure_opt
 @opt.existing_options

@@ -81,6 +81,7 @@ class Console:
     @contextmanager
     def bar(self, label: str) -> Iterator[Progress]:
         """Yield a `Progress` that draws a bar on stderr where that is a terminal, else does nothing."""
+        self._tell_of_compiling()
         if self.quiet or sys.stderr is None or not sys.stderr.isatty():
             yield silent
             return
@@ -93,6 +94,26 @@ class Console:
                 shown.update(done - shown.n)
 
             yield update
+
+    def _tell_of_compiling(self) -> None:
+        """Say so, once, when numba compiles a kernel: the first use on a machine is slow, and only the first."""
+        if "numba" not in sys.modules:
+            return
+        from numba.core import event
+
+        note, told = self.note, False
+
+        class Compiling(event.Listener):
+            def on_start(self, event: object) -> None:
+                nonlocal told
+                if not told:
+                    told = True
+                    note("Note: compiling for this machine; only the first use takes this long")
+
+            def on_end(self, event: object) -> None:
+                pass
+
+        event.register("numba:compile", Compiling())  # type: ignore[no-untyped-call]
 
 
 def to_stderr(text: str) -> None:

@@ -25,6 +25,8 @@ _BAND_PX = 2**24
 
 # Classes that all score just the limit make a cell that does: the last bits of the mean must not say otherwise.
 _ROUNDING = 1e-9
+_MAX_COUNTS = 2**28
+"""Counters held at once: 1 GB."""
 
 ReadClasses = Callable[[Window], NDArray[np.uint8]]
 
@@ -77,14 +79,15 @@ def cover(fine: Grid, read: ReadClasses, cell_m: float, progress: Progress = sil
     if grid.rows * grid.cols > MAX_CELLS:
         raise ArgumentError(f"a cell of {cell_m:g} m makes {grid.rows} x {grid.cols} cells; use larger ones")
     step_row, step_col = cell_m / row_m, cell_m / col_m
-    cell_of_col = np.minimum(((np.arange(fine.cols) + 0.5) / step_col).astype(np.int64), grid.cols - 1)
+    cell_of_col = _cells_of(0, fine.cols, step_col, grid.cols)
     counts = np.zeros((0, grid.rows, grid.cols), np.int32)
     band_rows = max(1, min(_BAND_ROWS, _BAND_PX // fine.cols))
     for top in range(0, fine.rows, band_rows):
         height = min(band_rows, fine.rows - top)
         classes = read(Window(top, 0, height, fine.cols))
-        cell_of_row = np.minimum(((np.arange(top, top + height) + 0.5) / step_row).astype(np.int64), grid.rows - 1)
-        counts = _add(counts, classes, cell_of_row, cell_of_col, grid)
+        cell_of_row = _cells_of(top, height, step_row, grid.rows)
+        if cell_of_row.size:
+            counts = _add(counts, classes[: cell_of_row.size, : cell_of_col.size], cell_of_row, cell_of_col, grid)
         progress(top + height, fine.rows)
     return Cover(counts, step_row * step_col, grid)
 
@@ -121,6 +124,12 @@ def score_cells(
     return score.astype(np.float32), sd.astype(np.float32)
 
 
+def _cells_of(first: int, count: int, step: float, cells: int) -> NDArray[np.int64]:
+    """Return the cell of each of `count` pixels from `first` on; pixels beyond the last cell are left out."""
+    found = ((np.arange(first, first + count) + 0.5) / step).astype(np.int64)
+    return found[found < cells]
+
+
 def _add(
     counts: NDArray[np.int32],
     classes: NDArray[np.uint8],
@@ -130,6 +139,10 @@ def _add(
 ) -> NDArray[np.int32]:
     present = np.flatnonzero(np.bincount(classes.ravel(), minlength=NODATA + 1)[:NODATA])
     if present.size and present[-1] >= len(counts):
+        if (present[-1] + 1) * grid.rows * grid.cols > _MAX_COUNTS:
+            raise ArgumentError(
+                f"{grid.rows} x {grid.cols} cells are too many for {present[-1] + 1} classes; use larger"
+            )
         counts = np.concatenate([counts, np.zeros((present[-1] + 1 - len(counts), *grid.shape), np.int32)])
     first = int(cell_of_row[0])
     span = int(cell_of_row[-1]) - first + 1

@@ -32,7 +32,7 @@ from hrt_cli.artifacts.carriers import checked, parse_provenance
 from hrt_cli.artifacts.jsonio import canonical, parse_strict
 from hrt_cli.artifacts.provenance import Provenance
 from hrt_cli.artifacts.publish import publishing
-from hrt_cli.errors import ArgumentError, OutputError
+from hrt_cli.errors import ArgumentError, InputError, OutputError
 from hrt_cli.raster.gate import Raster, open_raster
 from hrt_cli.raster.grid import Grid
 from hrt_cli.raster.windows import Window
@@ -162,7 +162,11 @@ def cog_provenance(path: Path) -> Provenance | None:
         found = tagged_provenance(raster)
     if found is None:
         return None
-    return checked(path, found, _content_of(path))
+    try:
+        content = _content_of(path)
+    except _GDAL_ERRORS as error:
+        raise InputError(path, "is damaged: its pixels cannot be read") from error
+    return checked(path, found, content)
 
 
 def tagged_provenance(raster: Raster) -> Provenance | None:
@@ -235,13 +239,15 @@ def _copy_to_cog(work: Path, draft: Path, layout: Layout, creation: Mapping[str,
 
 
 def _content_of(path: Path) -> str:
-    """Hash shape, dtype, pixels and mask of a GeoTIFF, strip by strip."""
+    """Hash shape, dtype, place, pixels and mask of a GeoTIFF, strip by strip."""
     digest = hashlib.sha256()
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", NotGeoreferencedWarning)
         with rasterio.open(path) as dataset:
             digest.update(f"{dataset.height}|{dataset.width}|{dataset.count}|{dataset.dtypes}".encode())
-            digest.update(json.dumps([repr(dataset.nodata), list(dataset.transform)[:6]]).encode())
+            # The CRS by its code: its text differs between versions of PROJ.
+            code = dataset.crs.to_epsg() if dataset.crs else None
+            digest.update(json.dumps([repr(dataset.nodata), list(dataset.transform)[:6], code]).encode())
             for top in range(0, dataset.height, _STRIP_ROWS):
                 _hash_strip(dataset, digest, top)
     return digest.hexdigest()

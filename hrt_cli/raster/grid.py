@@ -155,12 +155,14 @@ class Grid:
         return np.asarray(np.hypot(_wrapped(np.diff(lon)) * east, np.diff(lat) * north))
 
     def coarse(self, cell_m: float) -> Grid:
-        """Return the grid of square ground cells of `cell_m` metres that starts at this raster's first corner."""
+        """Return the grid of square ground cells of `cell_m` metres that starts at this raster's first corner.
+
+        A last row or column of which less than half lies on the raster is left out.
+        """
         row_m, col_m = self.pixel_m
         step_row, step_col = cell_m / row_m, cell_m / col_m
-        # A remainder below a thousandth of a cell is floating-point noise, not ground.
-        rows = max(1, math.ceil(self.rows / step_row - 1e-3))
-        cols = max(1, math.ceil(self.cols / step_col - 1e-3))
+        rows = max(1, math.floor(self.rows / step_row + 0.5))
+        cols = max(1, math.floor(self.cols / step_col + 0.5))
         return Grid(rows, cols, self.transform * Affine.scale(step_col, step_row), self.crs)
 
     @property

@@ -20,6 +20,7 @@ from hrt_cli.raster.windows import Window, blocks
 _STRETCH_QUANTILES = (0.005, 0.995)
 _PROBE_WINDOWS = 16
 _PROBE_PX = 128
+_FEW = 65_536
 
 
 @dataclass(frozen=True)
@@ -60,6 +61,7 @@ class Image:
         self.alpha: int | None = alphas[-1] if alphas and alphas[-1] not in bands else None
         self.stretch: Stretch | None = None
         self.valid_share = 0.0
+        self._probed: NDArray[np.uint32] = np.zeros(0, np.uint32)
 
     @property
     def grid(self) -> Grid:
@@ -164,6 +166,19 @@ class Image:
             self.raster.notes.append(
                 f"its {self.raster.dtypes[0]} values are stretched to 8 bits: {low:g} to 0, {high:g} to 255"
             )
+        self._probed = _codes(self._to_rgb(found[:, None, :])[0])
+
+    def has_colours(self, count: int) -> bool:
+        """Whether at least `count` different colours occur; looks at all pixels only where the probe saw fewer."""
+        seen = np.unique(self._probed[:_FEW])
+        if seen.size < count:
+            seen = np.unique(self._probed)
+        for window in blocks(self.shape, 1024):
+            if seen.size >= count:
+                return True
+            rgb, valid = self.read(window)
+            seen = np.union1d(seen, _codes(rgb[valid]))
+        return bool(seen.size >= count)
 
     def _search_valid(self) -> NDArray[Any]:
         for window in blocks(self.shape, 1024):
@@ -215,6 +230,12 @@ def open_image(
         image = Image(raster, _choose_bands(raster, bands))
         image.probe()
         yield image
+
+
+def _codes(rgb: NDArray[np.uint8]) -> NDArray[np.uint32]:
+    """One number a colour [n, 3]."""
+    wide = rgb.astype(np.uint32)
+    return np.asarray(wide[:, 0] << 16 | wide[:, 1] << 8 | wide[:, 2])
 
 
 def _choose_bands(raster: Raster, asked: tuple[int, ...]) -> list[int]:

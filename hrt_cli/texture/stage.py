@@ -67,7 +67,7 @@ def segment_file(
     model_out: Path | None = None,
     image_options: ImageOptions = ImageOptions(),
     creation: dict[str, str] | None = None,
-    block_px: int = 512,
+    block_px: int = 1024,
     workers: int = 1,
     existing: Existing = REFUSE,
     progress: Progress = silent,
@@ -145,6 +145,8 @@ def _compute(
         if model_path is not None:
             model = read_model(model_path)
         elif spec is not None:
+            if not image.has_colours(spec.classes):
+                raise ArgumentError(f"holds fewer than {spec.classes} different colours, too few for as many classes")
             model = fit(image, spec, workers=workers, progress=progress)
         else:
             raise ValueError("either a spec or a model is needed")

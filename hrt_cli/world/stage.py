@@ -112,7 +112,9 @@ def _write_rasters(files: dict[str, Path], site: Site, grid: Grid, provenance: P
         writer.write(whole, site.truth)
     _write_field(files["dsm"], "height above the datum in metres", site.dsm, DSM_STEP_M, grid, provenance)
     if site.thermal_c is not None:
-        _write_field(files["thermal"], "temperature in degrees Celsius", site.thermal_c, THERMAL_STEP_C, grid, provenance)
+        _write_field(
+            files["thermal"], "temperature in degrees Celsius", site.thermal_c, THERMAL_STEP_C, grid, provenance
+        )
 
 
 def _write_field(

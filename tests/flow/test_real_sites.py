@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import subprocess
 import sys
@@ -66,7 +67,7 @@ def test_flow_on_a_real_orthomosaic(site: str, tmp_path: Path) -> None:
     plan = json.loads(plan_path.read_text())
     walk = plan["cells"]
     assert plan["steps"] == 300 == len(walk) - 1
-    assert all(abs(r1 - r0) + abs(c1 - c0) == 1 for (r0, c0), (r1, c1) in zip(walk, walk[1:], strict=False))
+    assert all(abs(r1 - r0) + abs(c1 - c0) == 1 for (r0, c0), (r1, c1) in itertools.pairwise(walk))
     assert all(np.isfinite(score[r, c]) for r, c in walk)
     assert plan["score"] == pytest.approx(sum(float(score[r, c]) for r, c in {tuple(cell) for cell in walk}))
     assert plan["score"] <= plan["upper_bound"] * (1 + 1e-9)

@@ -20,7 +20,9 @@ def project(tmp_path: Path) -> Path:
     subprocess.run(["hrt", "init", str(folder)], env=ENV, check=True, capture_output=True)
     shutil.copy(ROOT / "fixtures" / "meadow" / "ortho.tif", folder / "ortho.tif")
     config = (folder / "config.yaml").read_text()
-    (folder / "config.yaml").write_text(config.replace("budget: 300 ", "budget: 40 ").replace("classes: 5 ", "classes: 4 "))
+    (folder / "config.yaml").write_text(
+        config.replace("budget: 300 ", "budget: 40 ").replace("classes: 5 ", "classes: 4 ")
+    )
     return folder
 
 

@@ -21,12 +21,15 @@ from rasterio.enums import ColorInterp
 from rio_cogeo.cogeo import cog_validate
 
 from hrt_cli.artifacts.provenance import Provenance, record
-from hrt_cli.errors import ArgumentError, InputError
+from hrt_cli.errors import ArgumentError, InputError, OutputError
+from hrt_cli.raster import cog
 from hrt_cli.raster.cog import Layout, cog_provenance, publishing_cog
 from hrt_cli.raster.gate import open_raster
 from hrt_cli.raster.grid import Grid
 from hrt_cli.raster.style import class_colour, class_palette, class_qml, rgb_of, score_qml
 from hrt_cli.raster.windows import Window, blocks
+
+pytestmark = pytest.mark.filterwarnings("ignore:Use `@` matmul:PendingDeprecationWarning")
 
 CLASSES = Layout(
     bands=("class",),
@@ -190,9 +193,9 @@ class TestProvenance:
         path = tmp_path / "a.tif"
         publish(path, name, 40, 50)
         with rasterio.open(path, "r+", IGNORE_COG_LAYOUT_BREAK="YES") as dataset:
-            band = dataset.read(1)
+            band = dataset.read(dataset.count)
             band[33, 44] = 1 if band[33, 44] != 1 else 2
-            dataset.write(band, 1)
+            dataset.write(band, dataset.count)
         with rasterio.open(path) as dataset:
             assert "PROVENANCE" in dataset.tags(ns="HRT")
         with pytest.raises(InputError, match="not what its provenance recorded"):
@@ -270,6 +273,26 @@ def test_creation_options_are_obeyed(tmp_path: Path) -> None:
     with open_raster(tmp_path / "a.tif") as raster:
         assert raster.compression == "lzw"
         assert raster.block_shape == (256, 256)
+
+
+@pytest.mark.parametrize("harm", ["zeros", "cut", "gone"])
+def test_what_gdal_loses_without_a_word_is_noticed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, harm: str) -> None:
+    copy = cog._copy_to_cog
+
+    def lossy(work: Path, draft: Path, *rest: Any) -> None:
+        copy(work, draft, *rest)
+        whole = draft.read_bytes()
+        middle = len(whole) * 3 // 4
+        draft.write_bytes(
+            {"zeros": whole[:middle] + bytes(len(whole) - middle), "cut": whole[:middle], "gone": b""}[harm]
+        )
+
+    monkeypatch.setattr(cog, "_copy_to_cog", lossy)
+    path = tmp_path / "a.tif"
+    path.write_text("old")
+    with pytest.raises(OutputError, match=r"a\.tif: cannot be written: does not read back as it was written"):
+        publish(path, "classes")
+    assert [(p.name, p.read_text()) for p in tmp_path.iterdir()] == [("a.tif", "old")]
 
 
 @pytest.mark.parametrize(

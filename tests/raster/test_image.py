@@ -53,6 +53,11 @@ def test_alpha_of_none_is_nodata_and_no_colour(tmp_path: Path) -> None:
     assert notes == []
 
 
+def test_a_trace_of_alpha_is_enough(tmp_path: Path) -> None:
+    path = write_raster(tmp_path / "a.tif", with_alpha(patches(), 1), colours=RGBA)
+    np.testing.assert_array_equal(read(path)[1], ~LEFT)
+
+
 @pytest.mark.parametrize(("dtype", "scale"), [("uint16", 200), ("float32", 1 / 255), ("uint8", 1)])
 def test_alpha_of_255_is_opaque_in_every_type(tmp_path: Path, dtype: str, scale: float) -> None:
     # OpenDroneMap fills what it did not see with the type's largest value and writes 255 as opaque.

@@ -135,3 +135,13 @@ def test_the_bar_ends_with_the_work_that_fails(monkeypatch: pytest.MonkeyPatch) 
     with pytest.raises(OutputError):
         work()
     assert terminal.getvalue().endswith("\r")
+
+
+def test_compiling_is_told_once(capsys: pytest.CaptureFixture[str]) -> None:
+    from numba.core import event
+
+    with Console().bar("work"):
+        for _ in range(2):
+            with event.trigger_event("numba:compile"):
+                pass
+    assert capsys.readouterr().err.count("compiling") == 1

@@ -47,6 +47,18 @@ def test_the_answer_does_not_depend_on_blocks_workers_or_threads(site: ArraySour
         assert np.array_equal(array, second.to_arrays()[name]), name
 
 
+def test_pixels_that_are_not_square(site: ArraySource) -> None:
+    model = fit(site, SegmentSpec(4))
+    expected, _ = classes_of(site, model)
+    assert site.valid is not None
+    wide = ArraySource(site.rgb.repeat(2, axis=1), site.valid.repeat(2, axis=1), (0.05, 0.025), (3, 5))
+    classes, _ = classes_of(wide, model)
+    assert (classes[:, ::2] == expected).mean() > 0.95
+    assert np.array_equal(classes_of(wide, model, block_px=128, workers=2)[0], classes)
+    own = fit(wide, SegmentSpec(4))
+    assert own.settings.wavelengths_m == pytest.approx((0.2, 0.4, 0.8, 1.6))
+
+
 def test_the_sample_is_drawn_by_the_seed_alone(site: ArraySource, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(segment, "SAMPLE_TILE_PX", 64)
     monkeypatch.setattr(segment, "MAX_SAMPLE_TILES", 9)
