@@ -38,7 +38,7 @@ Example:
     "--iterations", type=click.IntRange(1, 1_000_000), default=300, show_default=True, help="Steps of the optimiser."
 )
 @click.option("--rollouts", type=click.IntRange(2, 10_000), default=16, show_default=True, help="On each map.")
-@click.option("--budget", type=click.IntRange(1, 100_000), default=160, show_default=True, help="Steps of a rollout.")
+@click.option("--budget", type=click.IntRange(1, 100_000), default=250, show_default=True, help="Steps of a rollout.")
 @opt.seed_opt
 @opt.existing_options
 @opt.console_options

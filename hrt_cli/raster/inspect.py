@@ -12,10 +12,10 @@ from hrt_cli.raster.gate import open_raster
 from hrt_cli.raster.image import open_image
 
 # Measured with benchmarks/segment_cost.py on one core of the slow machine it was written on: a rough guide only.
-_MEGAPIXELS_PER_SECOND = 12.0
+_MEGAPIXELS_PER_SECOND = 8.0
 _START_UP_S = 4.0
-_BASE_MB = 330.0
-_MB_PER_WORKER = 60.0
+_BASE_MB = 340.0
+_MB_PER_WORKER = 90.0
 
 
 @dataclass(frozen=True)
