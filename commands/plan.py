@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Literal, cast
+from typing import TYPE_CHECKING, Literal, cast
 
 import click
 
 from hrt_cli import options as opt
 from hrt_cli.artifacts.stage import Existing
 from hrt_cli.progress import Console
+
+if TYPE_CHECKING:
+    from hrt_cli.artifacts.plan import PlanDocument
 
 METHODS = ("refined", "policy", "policy-sample", "greedy", "rectangle", "lawnmower", "spiral", "random")
 
@@ -110,7 +113,7 @@ def plan(
     found = done.document
     state = "up to date" if done.up_to_date else f"{done.seconds:.1f} s"
     console.result(
-        f"{output}: {found.method}, score {found.score:.2f} of at most {found.upper_bound:.2f} (gap {found.gap:.1%}), "
+        f"{output}: {found.method}, {_value(found)}, "
         f"{found.steps} steps, {found.length_m:.0f} m, {len(found.waypoints)} waypoints ({state})",
         {
             "output": str(output),
@@ -120,6 +123,8 @@ def plan(
             "discounted_score": found.discounted_score,
             "upper_bound": found.upper_bound,
             "gap": found.gap,
+            "discounted_upper_bound": found.discounted_upper_bound,
+            "discounted_gap": found.discounted_gap,
             "steps": found.steps,
             "length_m": found.length_m,
             "time_s": found.time_s,
@@ -128,3 +133,11 @@ def plan(
             "seconds": done.seconds,
         },
     )
+
+
+def _value(found: PlanDocument) -> str:
+    """Say what the plan is worth in terms of what it was planned for."""
+    if found.discounted_upper_bound is None:
+        return f"score {found.score:.2f} of at most {found.upper_bound:.2f} (gap {found.gap:.1%})"
+    most = f"at most {found.discounted_upper_bound:.2f} (gap {found.discounted_gap:.1%})"
+    return f"discounted score {found.discounted_score:.2f} of {most}, score {found.score:.2f}"

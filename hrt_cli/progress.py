@@ -80,24 +80,28 @@ class Console:
 
     @contextmanager
     def bar(self, label: str) -> Iterator[Progress]:
-        """Yield a `Progress` that draws a bar on stderr where that is a terminal, else does nothing."""
-        self._tell_of_compiling()
-        if self.quiet or sys.stderr is None or not sys.stderr.isatty():
-            yield silent
-            return
-        from tqdm import tqdm
+        """Yield a `Progress` that draws a bar on stderr where that is a terminal, else does nothing.
 
-        with tqdm(total=None, desc=label, leave=False, file=sys.stderr) as shown:
+        While it lasts, the first kernel that numba compiles is told of: the first use on a machine is slow.
+        """
+        with self._telling_of_compiling():
+            if self.quiet or sys.stderr is None or not sys.stderr.isatty():
+                yield silent
+                return
+            from tqdm import tqdm
 
-            def update(done: int, total: int) -> None:
-                shown.total = total
-                shown.update(done - shown.n)
+            with tqdm(total=None, desc=label, leave=False, file=sys.stderr) as shown:
 
-            yield update
+                def update(done: int, total: int) -> None:
+                    shown.total = total
+                    shown.update(done - shown.n)
 
-    def _tell_of_compiling(self) -> None:
-        """Say so, once, when numba compiles a kernel: the first use on a machine is slow, and only the first."""
+                yield update
+
+    @contextmanager
+    def _telling_of_compiling(self) -> Iterator[None]:
         if "numba" not in sys.modules:
+            yield
             return
         from numba.core import event
 
@@ -113,7 +117,8 @@ class Console:
             def on_end(self, event: object) -> None:
                 pass
 
-        event.register("numba:compile", Compiling())  # type: ignore[no-untyped-call]
+        with event.install_listener("numba:compile", Compiling()):  # type: ignore[no-untyped-call]
+            yield
 
 
 def to_stderr(text: str) -> None:

@@ -72,6 +72,8 @@ class PlanDocument(Document):
     discounted_score: float = Field(ge=0)
     upper_bound: float = Field(ge=0)
     gap: float = Field(ge=0, le=1)
+    discounted_upper_bound: float | None = Field(default=None, ge=0)
+    discounted_gap: float | None = Field(default=None, ge=0, le=1)
     length_m: float = Field(ge=0)
     speed_m_s: float = Field(gt=0)
     time_s: float = Field(ge=0)

@@ -23,7 +23,7 @@ BASELINES = ("lawnmower", "rectangle", "greedy", "spiral", "random")
 
 @dataclass(frozen=True)
 class Worth:
-    """What one walk collects: `fraction_of_bound` is of the bound on the objective that it was planned for."""
+    """What one walk collects; `fraction_of_bound` is the share of the bound on `score`."""
 
     score: float
     discounted_score: float
@@ -65,11 +65,9 @@ def evaluate_plans(scoremap_path: Path, plan_paths: tuple[Path, ...], *, seed: i
     )
     made = {name: make_plan(problem, name, seed=seed) for name in BASELINES}
     bound = min([each.upper_bound for each in made.values()] + [each.upper_bound for each in plans.values()])
-    total = first.objective == "total"
 
     def worth(score: float, discounted: float) -> Worth:
-        value = score if total else discounted
-        return Worth(score, discounted, value / bound if bound > 0 else 1.0)
+        return Worth(score, discounted, score / bound if bound > 0 else 1.0)
 
     return PlanComparison(
         {str(path): worth(*_collected(each, scoremap)) for path, each in plans.items()},

@@ -126,14 +126,19 @@ def plan(
     walk = _walk(bench, method, policy, effort, samples, seed, progress)
     progress(2, 3)
     value = bench.value(walk)
-    bound = upper_bound(field, value, gamma, max(1, round(BOUND_ITERATIONS * effort)))
+    score = value if gamma == 1.0 else _Bench(field, 1.0).value(walk)
+    iterations = max(1, round(BOUND_ITERATIONS * effort))
+    bound = upper_bound(field, score, 1.0, iterations)
+    discounted_bound = None if problem.objective == "total" else upper_bound(field, value, gamma, iterations)
     progress(3, 3)
     return Plan(
         cells=to_cells(field, walk),
-        score=value if gamma == 1.0 else _Bench(field, 1.0).value(walk),
+        score=score,
         discounted_score=_Bench(field, problem.gamma).value(walk),
         upper_bound=bound,
-        gap=1.0 - value / bound if bound > 0 else 0.0,
+        gap=_gap(score, bound),
+        discounted_upper_bound=discounted_bound,
+        discounted_gap=None if discounted_bound is None else _gap(value, discounted_bound),
         method=method,
         seconds=time.perf_counter() - started,
         evaluations=bench.evaluations,
@@ -149,6 +154,11 @@ def _check_arguments(method: str, effort: float, samples: int, seed: int) -> Non
         raise ArgumentError(f"at least one rollout must be sampled, not {samples}")
     if seed < 0:
         raise ArgumentError(f"the seed must not be negative, not {seed}")
+
+
+def _gap(value: float, bound: float) -> float:
+    """Return 1 - value / bound; rounding must not make it negative."""
+    return max(0.0, 1.0 - value / bound) if bound > 0 else 0.0
 
 
 def _walk(

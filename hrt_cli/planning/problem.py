@@ -160,9 +160,11 @@ class Plan:
     discounted_score : float
         Sum of gamma^t times the score at each cell's first visit, t = 0 at the start.
     upper_bound : float
-        Proven bound on the objective ('total': `score`, 'discounted': `discounted_score`) of any walk.
+        Proven bound on `score` of any walk, whatever the objective.
     gap : float
-        1 - objective / upper_bound, in [0, 1].
+        1 - score / upper_bound, in [0, 1].
+    discounted_upper_bound, discounted_gap : float or None
+        The same for `discounted_score`, where that is the objective.
     method : str
         The method that made the walk.
     seconds : float
@@ -176,6 +178,8 @@ class Plan:
     discounted_score: float
     upper_bound: float
     gap: float
+    discounted_upper_bound: float | None
+    discounted_gap: float | None
     method: str
     seconds: float
     evaluations: int

@@ -174,6 +174,8 @@ def _document(found: Plan, problem: Problem, scoremap: Scoremap, request: PlanRe
         discounted_score=found.discounted_score,
         upper_bound=found.upper_bound,
         gap=found.gap,
+        discounted_upper_bound=found.discounted_upper_bound,
+        discounted_gap=found.discounted_gap,
         length_m=length_m,
         speed_m_s=request.speed_m_s,
         time_s=length_m / request.speed_m_s,

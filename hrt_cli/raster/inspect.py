@@ -25,7 +25,7 @@ class Inspection:
     Attributes
     ----------
     facts : dict
-        JSON values by name; see `docs/cli.md`.
+        JSON values by name, as `hrt inspect --json` prints them.
     notes : list of str
         Traps and warnings.
     refusal : str or None

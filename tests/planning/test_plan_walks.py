@@ -21,8 +21,11 @@ def made(problem, method, seed=0):
     assert found.score == pytest.approx(total_score(problem, cells), rel=1e-12, abs=1e-12)
     assert found.discounted_score == pytest.approx(discounted_score(problem, cells), rel=1e-9, abs=1e-12)
     value = found.score if problem.objective == "total" else found.discounted_score
-    assert value <= found.upper_bound * (1 + 1e-12)
-    assert -1e-12 <= found.gap <= 1.0
+    assert found.score <= found.upper_bound * (1 + 1e-12)
+    assert 0.0 <= found.gap <= 1.0
+    if problem.objective == "discounted":
+        assert value <= found.discounted_upper_bound * (1 + 1e-12)
+        assert 0.0 <= found.discounted_gap <= 1.0
     assert found.method == method
     assert found.evaluations >= 1
     return value
