@@ -117,7 +117,7 @@ class Console:
             def on_end(self, event: object) -> None:
                 pass
 
-        with event.install_listener("numba:compile", Compiling()):  # type: ignore[no-untyped-call]
+        with event.install_listener("numba:compile", Compiling()):
             yield
 
 

@@ -142,7 +142,9 @@ def test_the_program_refuses_a_bad_orthomosaic(ortho: Path, name: str) -> None:
 def test_segment_refuses_more_classes_than_there_are_colours(ortho: Path, capfd: pytest.CaptureFixture[str]) -> None:
     two_colours(ortho)
     args = ["segment", str(ortho), "-K", "5"]
-    refused(lambda a: here(a, capfd), args, ortho.with_name("out.tif"), 1, "ortho é.tif", "fewer than 5 different colours")
+    refused(
+        lambda a: here(a, capfd), args, ortho.with_name("out.tif"), 1, "ortho é.tif", "fewer than 5 different colours"
+    )
 
 
 @pytest.mark.parametrize("classes", ["0", "1", "-3", "256", "1000000000", "nan", "2.5"])
