@@ -7,7 +7,7 @@ BIN := $(VENV)/bin
 DEMO ?= demo
 
 .DELETE_ON_ERROR:
-.PHONY: demo test lint install lock fixtures golden clean
+.PHONY: demo test lint install lock policy fixtures golden clean
 
 install: $(VENV)/.installed
 
@@ -39,6 +39,10 @@ lock:
 	$(VENV)-lock/bin/pip install --quiet --editable ".[dev]"
 	$(VENV)-lock/bin/pip list --format=freeze | grep -v -i -E '^(hrt|pip|setuptools|wheel)==' | sed 's/+cpu$$//' > requirements.lock
 	rm -rf $(VENV)-lock
+
+# The policy that ships with the package: the default training, the same bytes from the same seed.
+policy: $(VENV)/.installed
+	$(BIN)/hrt train-plan -o hrt_cli/planning/default_policy.npz --overwrite
 
 # The sample sites of fixtures/, and the figures that the flow reaches on them.
 fixtures: $(VENV)/.installed

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import io
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -112,9 +113,17 @@ def _parse(text: str) -> RecipeValue:
 
 def default_policy() -> Policy:
     """Return the policy that ships with the package, trained by `train` with its default recipe."""
-    data = resources.files("hrt_cli.planning").joinpath(DEFAULT_POLICY_FILE).read_bytes()
-    with np.load(io.BytesIO(data), allow_pickle=False) as arrays:
+    with np.load(io.BytesIO(_default_policy_bytes()), allow_pickle=False) as arrays:
         return Policy.from_arrays({name: arrays[name] for name in arrays.files})
+
+
+def default_policy_sha256() -> str:
+    """Return the hash of the shipped policy's file, by which a plan records what made it."""
+    return hashlib.sha256(_default_policy_bytes()).hexdigest()
+
+
+def _default_policy_bytes() -> bytes:
+    return resources.files("hrt_cli.planning").joinpath(DEFAULT_POLICY_FILE).read_bytes()
 
 
 @lean_kernel

@@ -19,6 +19,9 @@ from hrt_cli.raster.scoremap import Scoremap
 _NUMBER = r"\s*([+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?)\s*"
 _START = re.compile(f"(cell|lonlat|xy):{_NUMBER},{_NUMBER}")
 _BUDGET = re.compile(f"{_NUMBER}(steps?|m|min)?")
+# A cell's side is measured on the Earth and differs from what it was asked to be in the seventh digit: 40 m are 40
+# cells of 1 m, not 39.999996.
+_WHOLE = 1e-5
 _MAX_VALUE = 1e9
 
 
@@ -94,6 +97,8 @@ def budget_in_cells(spending: Spending, cell_size_m: float, speed_m_s: float) ->
         return Budget(spending.value, 1.0)
     metres = spending.value if spending.unit == "m" else spending.value * 60.0 * speed_m_s
     cells = metres / cell_size_m
+    if abs(cells - round(cells)) < _WHOLE * cells:
+        cells = float(round(cells))
     if cells < 1:
         raise ArgumentError(f"the budget of {metres:g} m does not reach the next cell ({cell_size_m:g} m away)")
     return Budget(cells, math.sqrt(2.0))

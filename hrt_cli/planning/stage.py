@@ -15,7 +15,7 @@ from hrt_cli.artifacts.jsonio import read_model
 from hrt_cli.artifacts.stage import REFUSE, Existing, begin
 from hrt_cli.errors import ArgumentError, InputError
 from hrt_cli.planning.planner import plan
-from hrt_cli.planning.policy import Policy
+from hrt_cli.planning.policy import Policy, default_policy_sha256
 from hrt_cli.planning.problem import Plan, Problem
 from hrt_cli.planning.request import Spending, Start, budget_in_cells, start_cell
 from hrt_cli.progress import Progress, silent
@@ -77,7 +77,7 @@ def plan_file(
         STAGE,
         STAGE_VERSION,
         inputs=inputs,
-        parameters=_parameters(request),
+        parameters=_parameters(request, policy_path),
         outputs={output: json_provenance},
         existing=existing,
     )
@@ -127,9 +127,10 @@ def read_policy(path: Path) -> Policy:
         raise InputError(path, f"is not a usable policy: {error}") from error
 
 
-def _parameters(request: PlanRequest) -> dict[str, Any]:
+def _parameters(request: PlanRequest, policy_path: Path | None) -> dict[str, Any]:
     start, budget = request.start, request.budget
     return {
+        "policy": "given" if policy_path else default_policy_sha256(),
         "start": [start.kind, start.first, start.second],
         "budget": [budget.value, budget.unit],
         "method": request.method,
