@@ -108,7 +108,7 @@ class Grid:
         if self.crs is None:
             return 0, 0
         a, b, c, d, e, f = self.transform[:6]
-        col, row = ~Affine(a, b, 0.0, d, e, 0.0) * (c, f)
+        col, row = ~Affine(a, b, 0.0, d, e, 0.0) @ (c, f)
         return math.floor(row + _ROUNDING), math.floor(col + _ROUNDING)
 
     def xy(self, rows: ArrayLike, cols: ArrayLike) -> tuple[Floats, Floats]:
@@ -119,7 +119,7 @@ class Grid:
 
     def rowcol(self, x: float, y: float) -> tuple[float, float]:
         """Return the fractional pixel position (row, col) of a map coordinate."""
-        col, row = ~self.transform * (x, y)
+        col, row = ~self.transform @ (x, y)
         return row, col
 
     def lonlat(self, x: ArrayLike, y: ArrayLike) -> tuple[Floats, Floats]:
@@ -163,7 +163,7 @@ class Grid:
         step_row, step_col = cell_m / row_m, cell_m / col_m
         rows = max(1, math.floor(self.rows / step_row + 0.5))
         cols = max(1, math.floor(self.cols / step_col + 0.5))
-        return Grid(rows, cols, self.transform * Affine.scale(step_col, step_row), self.crs)
+        return Grid(rows, cols, self.transform @ Affine.scale(step_col, step_row), self.crs)
 
     @property
     def placeholder_georeference(self) -> bool:

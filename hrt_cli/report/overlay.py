@@ -286,7 +286,7 @@ def _require_aligned(grid: Grid, behind: Backdrop | None) -> None:
         return
     if grid.crs is None or grid.crs != behind.grid.crs:
         raise InputError("--backdrop", "the orthomosaic and the map have different coordinate reference systems")
-    turned = ~_linear(behind.grid) * _linear(grid)
+    turned = ~_linear(behind.grid) @ _linear(grid)
     if abs(turned.b) + abs(turned.d) > 1e-3 * (abs(turned.a) + abs(turned.e)):
         raise InputError("--backdrop", "the orthomosaic is turned against the map")
 

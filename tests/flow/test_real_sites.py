@@ -95,5 +95,5 @@ def test_flow_on_a_real_orthomosaic(site: str, tmp_path: Path) -> None:
 def cell_centres_lonlat(scoremap: Path, cells: list[list[int]]) -> np.ndarray:
     with rasterio.open(scoremap) as raster:
         to_wgs84 = Transformer.from_crs(raster.crs, "EPSG:4326", always_xy=True)
-        xy = [raster.transform * (c + 0.5, r + 0.5) for r, c in cells]
+        xy = [raster.transform @ (c + 0.5, r + 0.5) for r, c in cells]
     return np.array([to_wgs84.transform(x, y) for x, y in xy])

@@ -1,0 +1,107 @@
+"""Plans are valued afresh on a scoremap they really lie on, beside the baselines and under the bound."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from affine import Affine
+from rasterio.crs import CRS
+
+from hrt_cli.artifacts.provenance import record
+from hrt_cli.errors import InputError
+from hrt_cli.evaluation.plans import BASELINES, evaluate_plans
+from hrt_cli.planning.request import parse_budget, parse_start
+from hrt_cli.planning.stage import PlanRequest, plan_file
+from hrt_cli.raster.grid import Grid
+from hrt_cli.raster.scoremap import Scoremap, publish_scoremap
+
+UTM33 = CRS.from_epsg(32633)
+PLACE = Affine(1, 0, 400_000, 0, -1, 5_000_000)
+
+
+def scores() -> np.ndarray:
+    score = np.random.default_rng(4).random((20, 24)).astype(np.float32)
+    score[5:9, 12] = np.nan
+    return score
+
+
+def put(path: Path, score: np.ndarray, transform: Affine = PLACE, crs: CRS = UTM33) -> Path:
+    grid = Grid(*score.shape, transform, crs)
+    sd = np.where(np.isnan(score), np.nan, 0).astype(np.float32)
+    publish_scoremap(path, Scoremap(score, sd, grid, 1.0), record("test", 1, {}, {}), tags={}, creation={})
+    return path
+
+
+def planned(scoremap: Path, path: Path, budget: str = "30", start: str = "cell:3,4", **options: object) -> Path:
+    request = PlanRequest(parse_start(start), parse_budget(budget), effort=0.1, **options)  # type: ignore[arg-type]
+    plan_file(scoremap, path, request)
+    return path
+
+
+@pytest.fixture
+def site(tmp_path: Path) -> tuple[Path, Path]:
+    scoremap = put(tmp_path / "s.tif", scores())
+    return scoremap, planned(scoremap, tmp_path / "p.json")
+
+
+def test_worth_is_recomputed_from_the_cells(site: tuple[Path, Path]) -> None:
+    scoremap, plan = site
+    found = evaluate_plans(scoremap, (plan,))
+    document = json.loads(plan.read_text())
+    first_visits = list(dict.fromkeys(map(tuple, document["cells"])))
+    worth = found.plans[str(plan)]
+    assert worth.score == pytest.approx(sum(float(scores()[cell]) for cell in first_visits), rel=1e-6)
+    assert worth.discounted_score == pytest.approx(document["discounted_score"], rel=1e-6)
+    assert worth.fraction_of_bound == pytest.approx(worth.score / found.upper_bound)
+    assert set(found.baselines) == set(BASELINES)
+    assert all(0 < each.fraction_of_bound <= 1 + 1e-9 for each in (*found.plans.values(), *found.baselines.values()))
+
+
+def test_what_lies_on_the_same_cells_passes(site: tuple[Path, Path], tmp_path: Path) -> None:
+    scoremap, plan = site
+    noise = put(tmp_path / "noise.tif", scores(), PLACE @ Affine.translation(1e-9, -1e-9))
+    nameless = CRS.from_proj4("+proj=utm +zone=33 +datum=WGS84 +units=m +no_defs")
+    bare = put(tmp_path / "bare.tif", scores(), PLACE, nameless)
+    for other in (scoremap, noise, bare):
+        assert evaluate_plans(other, (plan,)).plans
+
+
+@pytest.mark.parametrize(
+    ("transform", "crs", "score", "problem"),
+    [
+        (PLACE @ Affine.translation(1, 0), UTM33, scores(), "1.00 px apart"),
+        (PLACE, CRS.from_epsg(32634), scores(), "reference systems differ"),
+        (PLACE, UTM33, scores()[:-1], "19 x 24"),
+        (PLACE, UTM33, np.where(np.arange(24) == 4, np.nan, scores()).astype(np.float32), "no-go"),
+    ],
+)
+def test_another_map_is_refused(
+    site: tuple[Path, Path], tmp_path: Path, transform: Affine, crs: CRS, score: np.ndarray, problem: str
+) -> None:
+    other = put(tmp_path / "other.tif", score, transform, crs)
+    with pytest.raises(InputError, match=problem):
+        evaluate_plans(other, (site[1],))
+
+
+@pytest.mark.parametrize("change", [{"budget": "31"}, {"start": "cell:3,5"}, {"connectivity": 8}])
+def test_plans_of_different_tasks_are_not_compared(
+    site: tuple[Path, Path], tmp_path: Path, change: dict[str, object]
+) -> None:
+    scoremap, plan = site
+    other = planned(scoremap, tmp_path / "other.json", **change)  # type: ignore[arg-type]
+    with pytest.raises(InputError, match="another start, budget"):
+        evaluate_plans(scoremap, (plan, other))
+
+
+def test_an_edited_plan_is_refused(site: tuple[Path, Path]) -> None:
+    scoremap, plan = site
+    plan.write_text(plan.read_text().replace('"gap":', '"gap" :', 1))
+    assert evaluate_plans(scoremap, (plan,)).plans  # white space is no change
+    document = json.loads(plan.read_text())
+    document["score"] += 1
+    plan.write_text(json.dumps(document))
+    with pytest.raises(InputError, match="edited by hand"):
+        evaluate_plans(scoremap, (plan,))
