@@ -18,9 +18,9 @@ from hrt_cli.raster.grid import Grid
 from hrt_cli.raster.windows import Window, blocks
 
 _STRETCH_QUANTILES = (0.005, 0.995)
-_PROBE_WINDOWS = 16
+_PROBE_WINDOWS = 12
 _PROBE_PX = 128
-_FEW = 65_536
+_FEW = 100_000
 
 
 @dataclass(frozen=True)
@@ -91,7 +91,7 @@ class Image:
         if inside.height and inside.width:
             values, good = self._read_inside(inside)
             there = Window(inside.row - window.row, inside.col - window.col, inside.height, inside.width).slices
-            rgb[there] = self._to_rgb(values)
+            self._paint(rgb[there], values)
             valid[there] = good
         return rgb, valid
 
@@ -115,13 +115,15 @@ class Image:
             valid &= self.raster.read_mask(window)
         return colours, valid
 
-    def _to_rgb(self, values: NDArray[Any]) -> NDArray[np.uint8]:
+    def _paint(self, rgb: NDArray[np.uint8], values: NDArray[Any]) -> None:
+        """Fill `rgb` [height, width, 3] from the bands read [band, height, width]."""
         if self.raster.palette is not None:
-            return np.asarray(self.raster.palette[values[0]])
+            rgb[:] = self.raster.palette[values[0]]
+            return
         planes = values if self.stretch is None else self.stretch.apply(values)
-        if len(planes) == 1:
-            planes = np.repeat(planes, 3, axis=0)
-        return np.ascontiguousarray(np.moveaxis(planes, 0, -1))
+        # Plane by plane: numpy is several times slower at turning the whole array round.
+        for channel in range(3):
+            rgb[..., channel] = planes[min(channel, len(planes) - 1)]
 
     def thumbnail(self, max_px: int) -> tuple[NDArray[np.uint8], NDArray[np.bool_]]:
         """Return the whole image and its mask, every n-th pixel, with at most `max_px` rows and columns.
@@ -148,7 +150,7 @@ class Image:
             No pixel is valid, or all that are have one value.
         """
         values, total = [], 0
-        for window in _probe_windows(self.shape):
+        for window in _probe_windows(self.shape, self.raster.block_shape):
             colours, valid = self._read_inside(window)
             values.append(colours[:, valid])
             total += valid.size
@@ -166,13 +168,14 @@ class Image:
             self.raster.notes.append(
                 f"its {self.raster.dtypes[0]} values are stretched to 8 bits: {low:g} to 0, {high:g} to 255"
             )
-        self._probed = _codes(self._to_rgb(found[:, None, :])[0])
+        thinned = found[:, None, :: max(1, found.shape[1] // _FEW)]
+        rgb = np.zeros((*thinned.shape[1:], 3), np.uint8)
+        self._paint(rgb, thinned)
+        self._probed = _codes(rgb[0])
 
     def has_colours(self, count: int) -> bool:
         """Whether at least `count` different colours occur; looks at all pixels only where the probe saw fewer."""
-        seen = np.unique(self._probed[:_FEW])
-        if seen.size < count:
-            seen = np.unique(self._probed)
+        seen = np.unique(self._probed)
         for window in blocks(self.shape, 1024):
             if seen.size >= count:
                 return True
@@ -266,13 +269,19 @@ def _middles(length: int, step: int) -> NDArray[np.intp]:
     return np.minimum(np.arange(0, length, step) + step // 2, length - 1)
 
 
-def _probe_windows(shape: tuple[int, int]) -> list[Window]:
-    """Windows on a regular lattice over the raster; all of it where it is small."""
+def _in_blocks(starts: NDArray[Any], block_px: int) -> NDArray[Any]:
+    """Move windows back to where a block starts, so that each costs the decoding of one block only."""
+    return starts if block_px < _PROBE_PX else np.asarray(starts // block_px * block_px)
+
+
+def _probe_windows(shape: tuple[int, int], block: tuple[int, int]) -> list[Window]:
+    """Windows on a regular lattice over the raster, each inside one block of its file; all of it where it is small."""
     if max(shape) <= _PROBE_WINDOWS * _PROBE_PX // 2:
         return list(blocks(shape, _PROBE_PX * 4))
     middles = (np.arange(_PROBE_WINDOWS) + 0.5) / _PROBE_WINDOWS
     tops = np.clip(middles * shape[0] - _PROBE_PX / 2, 0, max(shape[0] - _PROBE_PX, 0)).astype(int)
     lefts = np.clip(middles * shape[1] - _PROBE_PX / 2, 0, max(shape[1] - _PROBE_PX, 0)).astype(int)
+    tops, lefts = _in_blocks(tops, block[0]), _in_blocks(lefts, block[1])
     return [
         Window(int(top), int(left), min(_PROBE_PX, shape[0]), min(_PROBE_PX, shape[1]))
         for top in sorted(set(tops))
