@@ -237,8 +237,7 @@ def _show_scores(figure: Figure, axes: Axes, scoremap: Scoremap, behind: Backdro
     from matplotlib.colors import LinearSegmentedColormap
 
     _require_aligned(scoremap.grid, behind)
-    ramp = LinearSegmentedColormap.from_list("score", list(SCORE_RAMP))
-    ramp.set_bad(NO_GO_COLOUR, 0.0)
+    ramp = LinearSegmentedColormap.from_list("score", list(SCORE_RAMP)).with_extremes(bad=(0, 0, 0, 0))
     top = max(1.0, float(np.nanmax(scoremap.score)))
     shown = axes.imshow(
         np.ma.masked_invalid(scoremap.score),
