@@ -14,6 +14,7 @@ from hrt_cli.artifacts.jsonio import read_model
 from hrt_cli.artifacts.plan import PlanDocument
 from hrt_cli.errors import InputError
 from hrt_cli.planning.planner import plan as make_plan
+from hrt_cli.planning.planner import score_bound
 from hrt_cli.planning.problem import Budget, Problem
 from hrt_cli.raster.grid import Grid, require_same_grid
 from hrt_cli.raster.scoremap import Scoremap, read_scoremap
@@ -64,13 +65,16 @@ def evaluate_plans(scoremap_path: Path, plan_paths: tuple[Path, ...], *, seed: i
         return_home=first.return_home,
     )
     made = {name: make_plan(problem, name, seed=seed) for name in BASELINES}
-    bound = min([each.upper_bound for each in made.values()] + [each.upper_bound for each in plans.values()])
+    collected = {str(path): _collected(each, scoremap) for path, each in plans.items()}
+    # The bounds in the plans may be of another map, or of nobody: this map's is computed from this map.
+    best = max([score for score, _ in collected.values()] + [each.score for each in made.values()])
+    bound = score_bound(problem, best)
 
     def worth(score: float, discounted: float) -> Worth:
         return Worth(score, discounted, score / bound if bound > 0 else 1.0)
 
     return PlanComparison(
-        {str(path): worth(*_collected(each, scoremap)) for path, each in plans.items()},
+        {name: worth(*found) for name, found in collected.items()},
         {name: worth(each.score, each.discounted_score) for name, each in made.items()},
         bound,
     )

@@ -16,5 +16,5 @@ lean_kernel: Any = njit(**_LEAN)
 """The same without reference counting, for helpers that allocate nothing and take no slices.
 
 Numba counts references to every array a call passes on, with atomic instructions; in helpers of a few
-nanoseconds that is most of the time (a refinement step takes four times as long with it).
+nanoseconds that is most of the time.
 """

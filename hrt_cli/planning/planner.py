@@ -156,6 +156,11 @@ def _check_arguments(method: str, effort: float, samples: int, seed: int) -> Non
         raise ArgumentError(f"the seed must not be negative, not {seed}")
 
 
+def score_bound(problem: Problem, value: float) -> float:
+    """Return a proven bound on the score of any walk of `problem`; `value` is the best score known of one."""
+    return upper_bound(build_field(problem), value, 1.0, BOUND_ITERATIONS)
+
+
 def _gap(value: float, bound: float) -> float:
     """Return 1 - value / bound; rounding must not make it negative."""
     return max(0.0, 1.0 - value / bound) if bound > 0 else 0.0

@@ -270,8 +270,10 @@ def _middles(length: int, step: int) -> NDArray[np.intp]:
 
 
 def _in_blocks(starts: NDArray[Any], block_px: int) -> NDArray[Any]:
-    """Move windows back to where a block starts, so that each costs the decoding of one block only."""
-    return starts if block_px < _PROBE_PX else np.asarray(starts // block_px * block_px)
+    """Move windows that reach into the next block back into theirs, so that each costs the decoding of one only."""
+    if block_px < _PROBE_PX:
+        return starts
+    return np.asarray(np.minimum(starts, starts // block_px * block_px + block_px - _PROBE_PX))
 
 
 def _probe_windows(shape: tuple[int, int], block: tuple[int, int]) -> list[Window]:

@@ -11,7 +11,7 @@ from typing import Any
 from hrt_cli.artifacts.carriers import npz_provenance, publish_npz, read_stamped_npz
 from hrt_cli.artifacts.provenance import Provenance
 from hrt_cli.artifacts.stage import REFUSE, Existing, Job, ReadProvenance, begin
-from hrt_cli.errors import ArgumentError, InputError
+from hrt_cli.errors import ArgumentError, InputError, OutputError
 from hrt_cli.progress import Progress, silent
 from hrt_cli.raster.classes import publishing_classes
 from hrt_cli.raster.cog import cog_provenance
@@ -92,6 +92,8 @@ def segment_file(
     """
     began = time.monotonic()
     creation = creation or {}
+    if model_out is not None and model_out.resolve() == output.resolve():
+        raise OutputError(f"{output}: is named for two outputs; give the classes and the model different files")
     with open_image(ortho, **asdict(image_options)) as image:
         inputs = {**image.raster.sources(), **({"model": model_path} if model_path else {})}
         parameters = _parameters(spec, image_options, creation)

@@ -105,3 +105,10 @@ def test_an_edited_plan_is_refused(site: tuple[Path, Path]) -> None:
     plan.write_text(json.dumps(document))
     with pytest.raises(InputError, match="edited by hand"):
         evaluate_plans(scoremap, (plan,))
+
+
+def test_the_bound_is_of_the_map_not_of_the_plan(site: tuple[Path, Path], tmp_path: Path) -> None:
+    richer = put(tmp_path / "richer.tif", scores() * 5)
+    found = evaluate_plans(richer, (site[1],))
+    assert found.plans[str(site[1])].fraction_of_bound <= 1 + 1e-9
+    assert found.upper_bound == pytest.approx(5 * evaluate_plans(site[0], (site[1],)).upper_bound, rel=0.02)

@@ -159,3 +159,11 @@ def test_unreferenced_image(tmp_path: Path) -> None:
     assert "coordinate reference system" in refused.stderr
     found = run_json("segment", tmp_path / "plain.png", "-o", tmp_path / "c.tif", "--classes", "2", "--unreferenced")
     assert found["class_fractions"] == pytest.approx([0.5, 0.5], abs=0.1)
+
+
+def test_two_outputs_cannot_be_one_file(tmp_path: Path) -> None:
+    same = tmp_path / "x.tif"
+    done = run("segment", ORTHO, "-o", same, "--classes", "4", "--model-out", tmp_path / "." / "x.tif")
+    assert done.returncode == 1
+    assert "two outputs" in done.stderr
+    assert not same.exists()

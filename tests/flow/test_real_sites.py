@@ -53,6 +53,7 @@ def test_flow_on_a_real_orthomosaic(site: str, tmp_path: Path) -> None:
         assert out.crs == source.crs == cells.crs
         assert out.shape == source.shape
         assert (out.nodata, out.dtypes) == (255, ("uint8",))
+        assert len({out.colormap(1)[k] for k in range(5)}) == 5
         values = out.read(1)
         # Every pixel of the five classes is one that the orthomosaic has data for.
         alpha = source.colorinterp[-1] == rasterio.enums.ColorInterp.alpha

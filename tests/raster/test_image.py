@@ -326,3 +326,15 @@ def test_a_thumbnail_is_every_nth_pixel(tmp_path: Path, rows: int, cols: int, ma
     assert max(rgb.shape[:2]) <= max_px
     np.testing.assert_array_equal(rgb, as_rgb(pixels)[at_rows][:, at_cols])
     np.testing.assert_array_equal(valid, (pixels != 0).any(axis=0)[at_rows][:, at_cols])
+
+
+@pytest.mark.parametrize("layout", [{}, {"tiled": True, "blockxsize": 512, "blockysize": 512}, {"blockysize": 16}])
+def test_the_probe_looks_at_the_whole_width_of_any_layout(tmp_path: Path, layout: dict[str, object]) -> None:
+    pixels = np.full((1, 2048, 2048), 100, np.uint16)
+    pixels[:, :, 1024:] = np.linspace(3000, 4000, 1024).astype(np.uint16)
+    with open_image(write_raster(tmp_path / "a.tif", pixels, **layout)) as image:
+        assert image.stretch is not None
+        assert image.stretch.high > 3800
+    pixels[:, :, :1024] = 0
+    with open_image(write_raster(tmp_path / "b.tif", pixels, nodata=0, **layout)) as image:
+        assert image.valid_share == pytest.approx(0.5, abs=0.1)
