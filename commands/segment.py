@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import click
 
@@ -22,11 +22,12 @@ Example:
   hrt segment site/ortho.tif -o site/classes.tif --classes 5 --figure site/classes.png
 """
 )
-@click.argument("ortho", type=opt.PATH)
+@click.argument("ortho", type=opt.PATH, nargs=-1, required=True)
 @opt.output_opt
-@click.option("-K", "--classes", type=click.IntRange(2, 255), help="Number of texture classes, 2 to 255.")
+@click.option("-K", "--classes", type=opt.ClassCount(), help="Number of texture classes, 2 to 255, or auto.")
 @click.option("--model", "model_path", type=opt.PATH, help="Apply this texture model instead of fitting one.")
-@click.option("--model-out", type=opt.PATH, help="Keep the fitted texture model here (.npz).")
+@click.option("--grow", is_flag=True, help="With --model: what it has never seen becomes new classes after its own.")
+@click.option("--model-out", type=opt.PATH, help="Keep the texture model that was fitted or grown here (.npz).")
 @click.option(
     "--features",
     type=click.Choice(["site", "paper", "texture"]),
@@ -41,31 +42,38 @@ Example:
     show_default=True,
     help="Whether a texture turned is the same texture.",
 )
+@click.option("--scale-invariant", is_flag=True, help="A texture seen larger is the same texture.")
 @click.option("--wavelengths", callback=lambda ctx, param, value: _lengths(value), help="Gabor wavelengths in metres.")
+@click.option("--aoi", type=opt.PATH, help="Clip to the polygons of this GeoJSON file.")
 @opt.bands_opt
 @opt.nodata_opt
 @opt.unreferenced_opt
 @opt.seed_opt
 @opt.workers_opt
+@click.option("--dask", metavar="ADDRESS", help="Measure on the Dask cluster of this scheduler (tcp://HOST:PORT).")
 @click.option("--block", type=click.IntRange(64, 4096), default=1024, show_default=True, help="Block side in pixels.")
 @opt.creation_opt
 @opt.figure_opt
 @opt.existing_options
 @opt.console_options
 def segment(
-    ortho: Path,
+    ortho: tuple[Path, ...],
     output: Path,
-    classes: int | None,
+    classes: int | Literal["auto"] | None,
     model_path: Path | None,
+    grow: bool,
     model_out: Path | None,
     features: str,
     rotation: str,
+    scale_invariant: bool,
     wavelengths: tuple[float, ...] | None,
+    aoi: Path | None,
     bands: tuple[int, ...],
     nodata: float | None,
     unreferenced: bool,
     seed: int,
     workers: int,
+    dask: str | None,
     block: int,
     creation: tuple[tuple[str, str], ...],
     figure: Path | None,
@@ -74,49 +82,58 @@ def segment(
 ) -> None:
     """Segment an orthomosaic into texture classes.
 
-    ORTHO is a georeferenced RGB GeoTIFF or VRT (alpha, mask or nodata are honoured). The output is a one-band class
-    raster on the same grid, 255 where there is no data, with a QGIS style beside it.
+    ORTHO is a georeferenced RGB GeoTIFF or VRT (alpha, mask or nodata are honoured), or several tiles of one
+    orthomosaic, or a folder of them. The output is a one-band class raster on the same grid, 255 where there is no
+    data, with a QGIS style beside it.
     """
     if (classes is None) == (model_path is None):
         raise click.UsageError("give either --classes, to fit a model, or --model, to apply one")
-    if model_path is not None and model_out is not None:
-        raise click.UsageError("--model-out keeps a model that was fitted; with --model none is")
+    if model_path is None and grow:
+        raise click.UsageError("--grow adds classes to a model: give one by --model")
+    if model_path is not None and model_out is not None and not grow:
+        raise click.UsageError("--model-out keeps a model that was fitted or grown; with --model alone none is")
     from hrt_cli.texture.segment import SegmentSpec
-    from hrt_cli.texture.stage import ImageOptions, segment_file
+    from hrt_cli.texture.stage import ImageOptions, Wanted, Work, segment_file
 
     spec = None
     if classes is not None:
-        spec = SegmentSpec(classes, features=features, rotation=rotation, wavelengths_m=wavelengths, seed=seed)
+        spec = SegmentSpec(
+            None if classes == "auto" else classes,
+            features=features,
+            rotation=rotation,
+            wavelengths_m=wavelengths,
+            seed=seed,
+            scale_invariant=scale_invariant,
+        )
     with console.bar("segment") as progress:
         done = segment_file(
             ortho,
             output,
-            spec=spec,
-            model_path=model_path,
-            model_out=model_out,
-            image_options=ImageOptions(bands, nodata, unreferenced),
-            creation=dict(creation),
-            block_px=block,
-            workers=workers,
+            Wanted(spec, model_path, grow, model_out, dict(creation)),
+            image_options=ImageOptions(bands, nodata, unreferenced, aoi),
+            work=Work(block, workers, dask),
             existing=existing,
             progress=progress,
         )
     if figure is not None:
         from hrt_cli.report.overlay import draw_classes
 
-        draw_classes(output, figure, backdrop=None if unreferenced else ortho, existing=existing)
+        backdrop = ortho[0] if len(ortho) == 1 and ortho[0].is_file() and not unreferenced else None
+        draw_classes(output, figure, backdrop=backdrop, existing=existing)
     for note in done.notes:
-        console.note(f"Note: {ortho}: {note}")
+        console.note(f"Note: {ortho[0]}: {note}")
     _print(output, done, console)
 
 
 def _print(output: Path, done: Segmentation, console: Console) -> None:
-    stats = done.stats
+    stats, found = done.found.stats, done.found
     speed = stats.pixels / 1e6 / done.seconds
     shares = ", ".join(f"{k}: {share:.0%}" for k, share in enumerate(stats.class_fractions))
     state = "up to date" if done.up_to_date else f"{len(stats.class_pixels)} classes in {done.seconds:.1f} s"
-    for row in done.table:
+    for row in found.table:
         console.detail(f"class {row['id']}: mean colour {row['mean_rgb']}, roughness {row['roughness']}")
+    for count, ratio in found.considered.items():
+        console.detail(f"{count} classes: variance ratio {ratio:.0f}")
     console.result(
         f"{output}: {state} ({shares})",
         {
@@ -124,7 +141,10 @@ def _print(output: Path, done: Segmentation, console: Console) -> None:
             "up_to_date": done.up_to_date,
             "classes": len(stats.class_pixels),
             "class_fractions": list(stats.class_fractions),
-            "class_table": done.table,
+            "class_table": found.table,
+            "variance_ratios": found.considered,
+            "novel_share": found.novel_share,
+            "new_classes": found.grown,
             "pixels": stats.pixels,
             "valid_pixels": stats.valid_pixels,
             "seconds": done.seconds,

@@ -34,6 +34,10 @@ class InputError(HrtError):
         self.remedy = remedy
         super().__init__(f"{self.path}: {problem}" + (f" ({remedy})" if remedy else ""))
 
+    def __reduce__(self) -> tuple[type[InputError], tuple[str, str, str]]:
+        """Survive the way from a worker process."""
+        return InputError, (self.path, self.problem, self.remedy)
+
 
 class ArgumentError(HrtError):
     """A value given on the command line does not fit the data (a start off the map, K above the limit)."""

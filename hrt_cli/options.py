@@ -52,6 +52,22 @@ class FiniteFloat(click.ParamType):  # type: ignore[type-arg]  # generic only fr
         return number
 
 
+class ClassCount(click.ParamType):  # type: ignore[type-arg]
+    """A number of classes from 2 to 255, or `auto`."""
+
+    name = "K|auto"
+
+    def convert(  # noqa: D102
+        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
+    ) -> int | str:
+        if value == "auto":
+            return "auto"
+        text = str(value)
+        if not (text.isascii() and text.isdigit() and 2 <= int(text) <= 255):
+            self.fail(f"{value!r} is neither a number from 2 to 255 nor auto", param, ctx)
+        return int(text)
+
+
 class NameValue(click.ParamType):  # type: ignore[type-arg]
     """A pair written `NAME=VALUE`."""
 

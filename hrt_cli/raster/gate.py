@@ -12,6 +12,7 @@ import os
 import re
 import threading
 import warnings
+from collections import OrderedDict
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -48,8 +49,56 @@ _MAX_VRT_BYTES = 64 * 2**20
 _MAX_VRT_DEPTH = 4
 
 
+class DatasetPool:
+    """The files that are open, at most `limit` a thread: rasterio's datasets must not be shared between threads.
+
+    A thread that asks for a file beyond the limit has the one closed that it has not read for longest. Close all by
+    `with`, when no thread reads any more.
+    """
+
+    def __init__(self, limit: int = 1) -> None:
+        self._limit = limit
+        self._local = threading.local()
+        self._all: list[OrderedDict[Path, DatasetReader]] = []
+        self._lock = threading.Lock()
+
+    def __enter__(self) -> DatasetPool:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        for mine in self._all:
+            while mine:
+                mine.popitem()[1].close()
+
+    def dataset(self, path: Path) -> DatasetReader:
+        """Return this thread's own dataset of a file, to be used before the next is asked for.
+
+        Raises
+        ------
+        InputError
+            The file cannot be opened.
+        """
+        mine: OrderedDict[Path, DatasetReader] | None = getattr(self._local, "mine", None)
+        if mine is None:
+            mine = self._local.mine = OrderedDict()
+            with self._lock:
+                self._all.append(mine)
+        if path in mine:
+            mine.move_to_end(path)
+            return mine[path]
+        while len(mine) >= self._limit:
+            mine.popitem(last=False)[1].close()
+        mine[path] = _open(path)
+        return mine[path]
+
+    @property
+    def open_count(self) -> int:
+        """The number of datasets open in all threads."""
+        return sum(map(len, self._all))
+
+
 class Raster:
-    """An open raster that passed the gate. Reads are safe from several threads; close it by `with`.
+    """A raster that passed the gate. Reads are safe from several threads, as long as its pool is not closed.
 
     Attributes
     ----------
@@ -62,7 +111,8 @@ class Raster:
         What the user ought to know though it was no reason to refuse.
     """
 
-    def __init__(self, path: Path, dataset: DatasetReader, grid: Grid, nodata: float | None, parts: list[Path]) -> None:
+    def __init__(self, path: Path, pool: DatasetPool, grid: Grid, nodata: float | None, parts: list[Path]) -> None:
+        dataset = pool.dataset(path)
         self.path = path
         self.grid = grid
         self.count: int = dataset.count
@@ -80,18 +130,8 @@ class Raster:
             MaskFlags.per_dataset in dataset.mask_flag_enums[0] and MaskFlags.alpha not in dataset.mask_flag_enums[0]
         )
         self.notes: list[str] = []
-        self._parts = parts
-        self._local = threading.local()
-        self._open: list[DatasetReader] = [dataset]
-        self._lock = threading.Lock()
-        self._local.dataset = dataset
-
-    def __enter__(self) -> Raster:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        for dataset in self._open:
-            dataset.close()
+        self._parts = list(dict.fromkeys([*map(Path, dataset.files), *parts]))
+        self._pool = pool
 
     def sources(self) -> dict[str, Path]:
         """Return the files that its pixels and mask come from, by role, for provenance.
@@ -99,37 +139,24 @@ class Raster:
         That is the file itself, a mask side-car, and the files a VRT is made of; overviews and statistics beside
         it change nothing.
         """
-        beside = [Path(name) for name in self._open[0].files]
-        parts = dict.fromkeys(
-            part
-            for part in (*beside, *self._parts)
-            if part != self.path and part.suffix not in (".ovr", ".xml") and part.is_file()
-        )
+        parts = [
+            part for part in self._parts if part != self.path and part.suffix not in (".ovr", ".xml") and part.is_file()
+        ]
         return {"raster": self.path} | {f"raster/{index}": part for index, part in enumerate(parts)}
 
     def read_bands(self, bands: list[int], window: Window) -> NDArray[Any]:
         """Read bands (1-based) in a window inside the raster: [band, height, width] in the file's dtype."""
         try:
-            return np.asarray(self._dataset().read(bands, window=_rio(window)))
+            return np.asarray(self._pool.dataset(self.path).read(bands, window=_rio(window)))
         except RasterioError as error:
             raise _damaged(self.path, error) from error
 
     def read_mask(self, window: Window) -> NDArray[np.bool_]:
         """Read the file's own mask (internal or side-car) in a window inside the raster."""
         try:
-            return np.asarray(self._dataset().read_masks(1, window=_rio(window)) > 0)
+            return np.asarray(self._pool.dataset(self.path).read_masks(1, window=_rio(window)) > 0)
         except RasterioError as error:
             raise _damaged(self.path, error) from error
-
-    def _dataset(self) -> DatasetReader:
-        # rasterio's datasets must not be shared between threads: each thread opens its own.
-        dataset: DatasetReader | None = getattr(self._local, "dataset", None)
-        if dataset is None:
-            dataset = _open(self.path)
-            self._local.dataset = dataset
-            with self._lock:
-                self._open.append(dataset)
-        return dataset
 
 
 @contextmanager
@@ -153,24 +180,27 @@ def open_raster(
         The file is no readable raster, is a decompression bomb, has no trustworthy georeference, or has pixels that
         cannot be measured in metres.
     """
+    with DatasetPool() as pool:
+        yield load_raster(path, pool, nodata=nodata, unreferenced=unreferenced)
+
+
+def load_raster(
+    path: str | os.PathLike[str], pool: DatasetPool, *, nodata: float | None = None, unreferenced: bool = False
+) -> Raster:
+    """Let a raster through the gate that is read by way of a pool; else as `open_raster`."""
     path = Path(path)
     if not path.is_file():
         raise InputError(path, "is a folder, not a raster" if path.is_dir() else "no such file")
     parts = _vrt_parts(path)
-    dataset = _open(path)
-    try:
-        _check_header(path, dataset)
-        grid = _grid(path, dataset, unreferenced)
-    except BaseException:
-        dataset.close()
-        raise
-    with Raster(path, dataset, grid, nodata, parts) as raster:
-        if grid.placeholder_georeference:
-            raster.notes.append(
-                "its coordinates are a placeholder (UTM at 0, 0): the photographs carried no GPS; "
-                "missions cannot be exported from it"
-            )
-        yield raster
+    dataset = pool.dataset(path)
+    _check_header(path, dataset)
+    raster = Raster(path, pool, _grid(path, dataset, unreferenced), nodata, parts)
+    if raster.grid.placeholder_georeference:
+        raster.notes.append(
+            "its coordinates are a placeholder (UTM at 0, 0): the photographs carried no GPS; "
+            "missions cannot be exported from it"
+        )
+    return raster
 
 
 def _open(path: Path) -> DatasetReader:
@@ -261,10 +291,11 @@ def _grid(path: Path, dataset: DatasetReader, unreferenced: bool) -> Grid:
 
 
 def _palette(dataset: DatasetReader) -> NDArray[np.uint8] | None:
-    """Return the colour table [256, 3] of a paletted band, else None."""
-    if dataset.colorinterp[0] != ColorInterp.palette:
+    """Return the colour table [256 or 65536, 3] of a paletted band, else None."""
+    length = {"uint8": 2**8, "uint16": 2**16}.get(dataset.dtypes[0], 0)
+    if dataset.colorinterp[0] != ColorInterp.palette or not length:
         return None
-    table = np.zeros((256, 3), np.uint8)
+    table = np.zeros((length, 3), np.uint8)
     for index, colour in dataset.colormap(1).items():
         if index < len(table):
             table[index] = colour[:3]

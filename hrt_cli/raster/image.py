@@ -3,23 +3,31 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
 from typing import Any
 
 import numpy as np
+from affine import Affine
 from numpy.typing import NDArray
-from rasterio.enums import ColorInterp
 
-from hrt_cli.errors import ArgumentError, InputError
-from hrt_cli.raster.gate import Raster, is_nodata, open_raster
+from hrt_cli.errors import InputError
+from hrt_cli.raster.aoi import PixelArea, read_aoi
 from hrt_cli.raster.grid import Grid
+from hrt_cli.raster.mosaic import Layer, Valid, open_layer
 from hrt_cli.raster.windows import Window, blocks
 
 _STRETCH_QUANTILES = (0.005, 0.995)
-_PROBE_WINDOWS = 12
+_PROBE_WINDOWS = 6
+_STRETCH_WINDOWS = 12
+"""Windows along each axis: what is only counted needs fewer than the quantiles of a stretch."""
 _PROBE_PX = 128
+_PROBE_BLOCK_PX = 256
+"""The probe keeps to blocks of this size, whatever the file's, so that it sees the same in one file and in tiles."""
+_SEARCH_PX = 1024
 _FEW = 100_000
 
 
@@ -32,6 +40,20 @@ class Stretch:
 
     def apply(self, values: NDArray[Any]) -> NDArray[np.uint8]:
         """Map values of any shape to uint8."""
+        if values.dtype in (np.int16, np.uint16):
+            # Sixteen bits are looked up by their pattern: several times faster than the arithmetic.
+            return np.take(self._signed if values.dtype == np.int16 else self._unsigned, values.view(np.uint16))
+        return self._computed(values)
+
+    @cached_property
+    def _unsigned(self) -> NDArray[np.uint8]:
+        return self._computed(np.arange(2**16, dtype=np.uint16))
+
+    @cached_property
+    def _signed(self) -> NDArray[np.uint8]:
+        return self._computed(np.arange(2**16, dtype=np.uint16).view(np.int16))
+
+    def _computed(self, values: NDArray[Any]) -> NDArray[np.uint8]:
         with np.errstate(invalid="ignore", over="ignore"):  # what nodata comes to does not matter
             scaled = (values.astype(np.float32) - self.low) * np.float32(255.0 / (self.high - self.low))
         return np.asarray(np.nan_to_num(np.clip(np.rint(scaled), 0, 255))).astype(np.uint8)
@@ -40,90 +62,96 @@ class Stretch:
 class Image:
     """An RGB image read window by window (an `ImageSource`).
 
+    An area of interest clips it: its grid is the window of the raster that bounds the area, and outside the area
+    nothing is valid. What is found out about the image as a whole (`stretch`, `valid_share`, `pixel_m`) comes from
+    the whole raster all the same, so that no value inside depends on how the area is drawn.
+
     Attributes
     ----------
-    raster : Raster
-        The file behind it.
-    bands : list of int
-        The 1-based bands taken as red, green, blue, or one band taken as grey.
-    alpha : int or None
-        The 1-based band declared as alpha.
+    raster : Layer
+        The raster or the tiles behind it.
+    grid : Grid
+        Its geometry.
     stretch : Stretch or None
         How values become 8-bit; None for 8-bit files.
     valid_share : float
         Share of valid pixels in a probe of the raster, 0 to 1.
+    notes : list of str
+        What the user ought to know though it was no reason to refuse.
     """
 
-    def __init__(self, raster: Raster, bands: list[int]) -> None:
+    def __init__(self, raster: Layer) -> None:
         self.raster = raster
-        self.bands = bands
-        alphas = [i + 1 for i, colour in enumerate(raster.colours) if colour == ColorInterp.alpha]
-        self.alpha: int | None = alphas[-1] if alphas and alphas[-1] not in bands else None
+        self.grid: Grid = raster.grid
         self.stretch: Stretch | None = None
         self.valid_share = 0.0
+        self.notes = raster.notes
+        self._area: PixelArea | None = None
+        self._aoi: Path | None = None
+        self._origin = (0, 0)
         self._probed: NDArray[np.uint32] = np.zeros(0, np.uint32)
 
     @property
-    def grid(self) -> Grid:
-        """The raster's geometry."""
-        return self.raster.grid
+    def bands(self) -> list[int]:
+        """The 1-based bands taken as red, green, blue, or one band taken as grey."""
+        return self.raster.bands
+
+    @property
+    def alpha(self) -> int | None:
+        """The 1-based band declared as alpha."""
+        return self.raster.alpha
+
+    @property
+    def block_shape(self) -> tuple[int, int]:
+        """Rows and columns of the blocks in which the file (of tiles, the first) is stored."""
+        return self.raster.block_shape
 
     @property
     def shape(self) -> tuple[int, int]:
         """Rows and columns."""
-        return self.raster.grid.shape
+        return self.grid.shape
 
     @property
     def pixel_m(self) -> tuple[float, float]:
-        """Ground metres per step along rows and columns."""
+        """Ground metres per step along rows and columns, of the whole raster."""
         return self.raster.grid.pixel_m
 
     @property
     def anchor(self) -> tuple[int, int]:
         """See `ImageSource`."""
-        return self.raster.grid.anchor
+        return self.grid.anchor
+
+    def sources(self) -> dict[str, Path]:
+        """Return the files that the image comes from, by role, for provenance."""
+        return self.raster.sources() | ({"aoi": self._aoi} if self._aoi else {})
 
     def read(self, window: Window) -> tuple[NDArray[np.uint8], NDArray[np.bool_]]:
-        """Return `(rgb [height, width, 3], valid [height, width])`; outside the raster nothing is valid."""
-        inside = window.clipped(self.shape)
-        rgb = np.zeros((window.height, window.width, 3), np.uint8)
-        valid = np.zeros((window.height, window.width), np.bool_)
-        if inside.height and inside.width:
-            values, good = self._read_inside(inside)
-            there = Window(inside.row - window.row, inside.col - window.col, inside.height, inside.width).slices
-            self._paint(rgb[there], values)
-            valid[there] = good
+        """Return `(rgb [height, width, 3], valid [height, width])`; outside the image nothing is valid."""
+        planes, valid = self.read_planes(window)
+        rgb = np.empty((window.height, window.width, 3), np.uint8)
+        # Plane by plane: numpy is several times slower at turning the whole array round.
+        for channel, plane in enumerate(planes):
+            rgb[..., channel] = plane
         return rgb, valid
 
-    def _read_inside(self, window: Window) -> tuple[NDArray[Any], NDArray[np.bool_]]:
-        # The alpha band is read as data: GDAL's own mask calls every pixel of a 16-bit or real ODM file valid.
-        wanted = [*self.bands, self.alpha] if self.alpha else self.bands
-        values = self.raster.read_bands(wanted, window)
-        colours = values[: len(self.bands)]
-        empty = np.ones(colours.shape[1:], np.bool_)
-        broken = np.zeros(colours.shape[1:], np.bool_)
-        for band, plane in zip(self.bands, colours, strict=True):
-            # A pixel is nodata where all its bands are; one band alone may be black. NaN in any band spoils it.
-            nodata = self.raster.nodata[band - 1]
-            empty &= is_nodata(plane, nodata)
-            if plane.dtype.kind == "f":
-                broken |= ~np.isfinite(plane)
-        valid = ~(empty | broken)
-        if self.alpha:
-            valid &= values[-1] > 0
-        elif self.raster.has_mask:
-            valid &= self.raster.read_mask(window)
-        return colours, valid
+    def read_planes(self, window: Window) -> tuple[NDArray[np.uint8], NDArray[np.bool_]]:
+        """Return `(planes [3, height, width], valid [height, width])`: `read` without turning the pixels round.
 
-    def _paint(self, rgb: NDArray[np.uint8], values: NDArray[Any]) -> None:
-        """Fill `rgb` [height, width, 3] from the bands read [band, height, width]."""
-        if self.raster.palette is not None:
-            rgb[:] = self.raster.palette[values[0]]
-            return
-        planes = values if self.stretch is None else self.stretch.apply(values)
-        # Plane by plane: numpy is several times slower at turning the whole array round.
-        for channel in range(3):
-            rgb[..., channel] = planes[min(channel, len(planes) - 1)]
+        Each plane is C-contiguous, and so is the array but for a grey image, where it may be one plane shown three
+        times: do not write into it.
+        """
+        inside = window.clipped(self.shape)
+        if not (inside.height and inside.width):
+            return _nothing(window)
+        colours, good = self._colours(inside)
+        planes = self._planes(colours)
+        if inside == window:
+            return planes, np.ones(planes.shape[1:], np.bool_) if good is None else good
+        padded, valid = _nothing(window)
+        there = Window(inside.row - window.row, inside.col - window.col, inside.height, inside.width).slices
+        padded[:, *there] = planes
+        valid[there] = True if good is None else good
+        return padded, valid
 
     def thumbnail(self, max_px: int) -> tuple[NDArray[np.uint8], NDArray[np.bool_]]:
         """Return the whole image and its mask, every n-th pixel, with at most `max_px` rows and columns.
@@ -149,57 +177,134 @@ class Image:
         InputError
             No pixel is valid, or all that are have one value.
         """
+        stretched = self.raster.dtype != "uint8" and self.raster.palette is None
         values, total = [], 0
-        for window in _probe_windows(self.shape, self.raster.block_shape):
-            colours, valid = self._read_inside(window)
-            values.append(colours[:, valid])
-            total += valid.size
+        for window in _probe_windows(self.shape, _STRETCH_WINDOWS if stretched else _PROBE_WINDOWS):
+            values.append(self._valid_colours(window))
+            total += window.height * window.width
         found = np.concatenate(values, axis=1)
         if found.shape[1] == 0:
             found = self._search_valid()
         self.valid_share = min(1.0, found.shape[1] / total)
         if (found == found[:, :1]).all():
             found = self._search_variety(found[:, :1])
-        if self.raster.dtypes[self.bands[0] - 1] != "uint8":
+        if stretched:
             low, high = np.quantile(found.astype(np.float64), _STRETCH_QUANTILES)
             if not high > low:
                 low, high = float(found.min()), float(found.max())
             self.stretch = Stretch(float(low), float(high))
-            self.raster.notes.append(
-                f"its {self.raster.dtypes[0]} values are stretched to 8 bits: {low:g} to 0, {high:g} to 255"
-            )
+            self.notes.append(f"its {self.raster.dtype} values are stretched to 8 bits: {low:g} to 0, {high:g} to 255")
         thinned = found[:, None, :: max(1, found.shape[1] // _FEW)]
-        rgb = np.zeros((*thinned.shape[1:], 3), np.uint8)
-        self._paint(rgb, thinned)
-        self._probed = _codes(rgb[0])
+        self._probed = _codes(self._planes(thinned)[:, 0])
+
+    def clip(self, aoi: Path) -> None:
+        """Clip the image, after `probe`, to an area of interest.
+
+        Raises
+        ------
+        InputError
+            The file is no area (see `read_aoi`), misses the raster, or holds none of its valid pixels.
+        """
+        area = read_aoi(aoi).require_on(self.raster.grid, self.raster.path)
+        bounds = area.bounds
+        self.grid = _window_grid(self.raster.grid, bounds)
+        self._area, self._aoi, self._origin = area, aoi, (bounds.row, bounds.col)
+        # What the probe saw may lie outside.
+        self._probed = np.zeros(0, np.uint32)
+        if not any(self._valid_colours(window).size for window in blocks(self.shape, _SEARCH_PX)):
+            raise InputError(aoi, f"holds no valid pixel of {self.raster.path}")
 
     def has_colours(self, count: int) -> bool:
         """Whether at least `count` different colours occur; looks at all pixels only where the probe saw fewer."""
         seen = np.unique(self._probed)
-        for window in blocks(self.shape, 1024):
+        for window in blocks(self.shape, _SEARCH_PX):
             if seen.size >= count:
                 return True
-            rgb, valid = self.read(window)
-            seen = np.union1d(seen, _codes(rgb[valid]))
+            planes, valid = self.read_planes(window)
+            seen = np.union1d(seen, _codes(planes[:, valid]))
         return bool(seen.size >= count)
 
+    def _colours(self, window: Window) -> tuple[NDArray[Any], Valid]:
+        """Read the file's own values [band, height, width], and where they are valid, in a window inside the image."""
+        there = Window(window.row + self._origin[0], window.col + self._origin[1], window.height, window.width)
+        if self._area is None:
+            return self.raster.read(there)
+        inside = self._area.mask(there)
+        if not inside.any():
+            return np.zeros((len(self.bands), window.height, window.width), self.raster.dtype), inside
+        colours, valid = self.raster.read(there)
+        return colours, inside if valid is None else inside & valid
+
+    def _valid_colours(self, window: Window) -> NDArray[Any]:
+        """Read the file's own values [band, n] of the valid pixels of a window inside the image."""
+        colours, valid = self._colours(window)
+        return np.asarray(colours.reshape(len(colours), -1) if valid is None else colours[:, valid])
+
+    def _planes(self, colours: NDArray[Any]) -> NDArray[np.uint8]:
+        """Turn the bands read [band, height, width] into red, green and blue [3, height, width]."""
+        if self.raster.palette is not None:
+            return np.stack([table[colours[0]] for table in self.raster.palette.T])
+        planes = colours if self.stretch is None else self.stretch.apply(colours)
+        return planes if len(planes) == 3 else np.broadcast_to(planes, (3, *planes.shape[1:]))
+
     def _search_valid(self) -> NDArray[Any]:
-        for window in blocks(self.shape, 1024):
-            colours, valid = self._read_inside(window)
-            if valid.any():
-                return np.asarray(colours[:, valid])
-        sidecar = self.raster.path.with_name(self.raster.path.name + ".msk")
-        blame = f"; the side-car {sidecar.name} masks all of it: delete it if it is stale" if sidecar.exists() else ""
+        for window in blocks(self.shape, _SEARCH_PX):
+            found = self._valid_colours(window)
+            if found.size:
+                return found
+        masks = [path.name for path in self.raster.sources().values() if path.suffix == ".msk"]
+        blame = f"; the side-car {masks[0]} masks all of it: delete it if it is stale" if masks else ""
         raise InputError(self.raster.path, "has no valid pixel: all is nodata" + blame)
 
     def _search_variety(self, colour: NDArray[Any]) -> NDArray[Any]:
         """Find a block in which some valid pixel is not of the one colour [band, 1] that the probe saw."""
-        for window in blocks(self.shape, 1024):
-            colours, valid = self._read_inside(window)
-            found = colours[:, valid]
+        for window in blocks(self.shape, _SEARCH_PX):
+            found = self._valid_colours(window)
             if (found != colour).any():
                 return np.concatenate([colour, found], axis=1)
         raise InputError(self.raster.path, "all its pixels have one value: there is nothing to tell apart")
+
+
+@contextmanager
+def open_orthomosaic(
+    paths: Sequence[Path],
+    *,
+    bands: tuple[int, ...] = (),
+    nodata: float | None = None,
+    unreferenced: bool = False,
+    aoi: Path | None = None,
+) -> Iterator[Image]:
+    """Open an orthomosaic as an RGB image through the gate.
+
+    Parameters
+    ----------
+    paths : sequence of Path
+        One raster, several that lie on one lattice, or folders of such. Their order has no meaning: tiles are taken
+        by name, and where they overlap the first whose pixel is valid wins.
+    bands : tuple of int, optional
+        The 1-based bands to take as red, green and blue (or one as grey). By default those that the file declares,
+        else the first three; a further band that is not declared as alpha is never taken for one.
+    nodata : float, optional
+        The value to take as nodata instead of the file's own.
+    unreferenced : bool
+        Accept one plain image: lengths are pixels, and the result has no CRS.
+    aoi : Path, optional
+        GeoJSON polygons to clip the image to.
+
+    Raises
+    ------
+    InputError
+        As `open_raster`; where rasters do not go together; where no pixel is valid or all have one value; where
+        `aoi` is no area on the orthomosaic.
+    ArgumentError
+        A band asked for does not exist.
+    """
+    with open_layer(paths, bands=bands, nodata=nodata, unreferenced=unreferenced) as raster:
+        image = Image(raster)
+        image.probe()
+        if aoi is not None:
+            image.clip(aoi)
+        yield image
 
 
 @contextmanager
@@ -210,58 +315,25 @@ def open_image(
     nodata: float | None = None,
     unreferenced: bool = False,
 ) -> Iterator[Image]:
-    """Open an orthomosaic as an RGB image through the gate.
-
-    Parameters
-    ----------
-    path : path-like
-        The file.
-    bands : tuple of int, optional
-        The 1-based bands to take as red, green and blue (or one as grey). By default those that the file declares,
-        else the first three; a further band that is not declared as alpha is never taken for one.
-    nodata, unreferenced
-        As in `open_raster`.
-
-    Raises
-    ------
-    InputError
-        As `open_raster`, and where no pixel is valid or all have one value.
-    ArgumentError
-        A band asked for does not exist.
-    """
-    with open_raster(path, nodata=nodata, unreferenced=unreferenced) as raster:
-        image = Image(raster, _choose_bands(raster, bands))
-        image.probe()
+    """Open one raster, or one folder of tiles, as `open_orthomosaic`."""
+    with open_orthomosaic([Path(path)], bands=bands, nodata=nodata, unreferenced=unreferenced) as image:
         yield image
 
 
-def _codes(rgb: NDArray[np.uint8]) -> NDArray[np.uint32]:
-    """One number a colour [n, 3]."""
-    wide = rgb.astype(np.uint32)
-    return np.asarray(wide[:, 0] << 16 | wide[:, 1] << 8 | wide[:, 2])
+def _codes(planes: NDArray[np.uint8]) -> NDArray[np.uint32]:
+    """One number a colour [3, n]."""
+    red, green, blue = planes.astype(np.uint32)
+    return np.asarray(red << 16 | green << 8 | blue)
 
 
-def _choose_bands(raster: Raster, asked: tuple[int, ...]) -> list[int]:
-    if asked:
-        if len(asked) not in (1, 3) or not all(1 <= band <= raster.count for band in asked):
-            raise ArgumentError(f"{raster.path}: --bands takes one or three of the bands 1 to {raster.count}")
-        return list(asked)
-    declared = {colour: i + 1 for i, colour in reversed(list(enumerate(raster.colours)))}
-    wanted = (ColorInterp.red, ColorInterp.green, ColorInterp.blue)
-    if all(colour in declared for colour in wanted):
-        chosen = [declared[colour] for colour in wanted]
-    else:
-        colours = [i + 1 for i, colour in enumerate(raster.colours) if colour != ColorInterp.alpha]
-        if not colours:
-            raise InputError(raster.path, "has an alpha band but no colour")
-        chosen = colours[:3] if len(colours) >= 3 else colours[:1]
-    extra = [i + 1 for i, colour in enumerate(raster.colours) if i + 1 not in chosen and colour != ColorInterp.alpha]
-    if extra:
-        raster.notes.append(
-            f"bands {', '.join(map(str, chosen))} are taken as colour; "
-            f"band {', '.join(map(str, extra))} is not declared as alpha and is not used"
-        )
-    return chosen
+def _nothing(window: Window) -> tuple[NDArray[np.uint8], NDArray[np.bool_]]:
+    shape = (window.height, window.width)
+    return np.zeros((3, *shape), np.uint8), np.zeros(shape, np.bool_)
+
+
+def _window_grid(grid: Grid, window: Window) -> Grid:
+    moved = grid.transform @ Affine.translation(window.col, window.row)
+    return Grid(window.height, window.width, moved, grid.crs)
 
 
 def _middles(length: int, step: int) -> NDArray[np.intp]:
@@ -269,21 +341,19 @@ def _middles(length: int, step: int) -> NDArray[np.intp]:
     return np.minimum(np.arange(0, length, step) + step // 2, length - 1)
 
 
-def _in_blocks(starts: NDArray[Any], block_px: int) -> NDArray[Any]:
+def _in_blocks(starts: NDArray[Any]) -> NDArray[Any]:
     """Move windows that reach into the next block back into theirs, so that each costs the decoding of one only."""
-    if block_px < _PROBE_PX:
-        return starts
-    return np.asarray(np.minimum(starts, starts // block_px * block_px + block_px - _PROBE_PX))
+    return np.asarray(np.minimum(starts, starts // _PROBE_BLOCK_PX * _PROBE_BLOCK_PX + _PROBE_BLOCK_PX - _PROBE_PX))
 
 
-def _probe_windows(shape: tuple[int, int], block: tuple[int, int]) -> list[Window]:
-    """Windows on a regular lattice over the raster, each inside one block of its file; all of it where it is small."""
-    if max(shape) <= _PROBE_WINDOWS * _PROBE_PX // 2:
+def _probe_windows(shape: tuple[int, int], along: int) -> list[Window]:
+    """Windows on a regular lattice over the raster, each inside one block; all of it where it is small."""
+    if max(shape) <= along * _PROBE_PX // 2:
         return list(blocks(shape, _PROBE_PX * 4))
-    middles = (np.arange(_PROBE_WINDOWS) + 0.5) / _PROBE_WINDOWS
+    middles = (np.arange(along) + 0.5) / along
     tops = np.clip(middles * shape[0] - _PROBE_PX / 2, 0, max(shape[0] - _PROBE_PX, 0)).astype(int)
     lefts = np.clip(middles * shape[1] - _PROBE_PX / 2, 0, max(shape[1] - _PROBE_PX, 0)).astype(int)
-    tops, lefts = _in_blocks(tops, block[0]), _in_blocks(lefts, block[1])
+    tops, lefts = _in_blocks(tops), _in_blocks(lefts)
     return [
         Window(int(top), int(left), min(_PROBE_PX, shape[0]), min(_PROBE_PX, shape[1]))
         for top in sorted(set(tops))

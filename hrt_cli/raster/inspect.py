@@ -11,7 +11,7 @@ from hrt_cli.raster.cog import tagged_provenance
 from hrt_cli.raster.gate import open_raster
 from hrt_cli.raster.image import open_image
 
-# Measured with benchmarks/segment_cost.py on one core of the slow machine it was written on: a rough guide only.
+# Measured with benchmarks/texture.py on one core of the slow machine it was written on: a rough guide only.
 _MEGAPIXELS_PER_SECOND = 8.0
 _START_UP_S = 4.0
 _BASE_MB = 340.0

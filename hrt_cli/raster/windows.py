@@ -69,8 +69,8 @@ class ImageSource(Protocol):
     @property
     def anchor(self) -> tuple[int, int]: ...  # noqa: D102
 
-    def read(self, window: Window) -> tuple[NDArray[np.uint8], NDArray[np.bool_]]:
-        """Return `(rgb [height, width, 3] uint8, valid [height, width] bool)`.
+    def read_planes(self, window: Window) -> tuple[NDArray[np.uint8], NDArray[np.bool_]]:
+        """Return `(planes [3, height, width] uint8, valid [height, width] bool)`: red, green, blue.
 
         The window may reach outside: there `valid` is False and the colour is arbitrary. Safe to call from
         several threads at once.

@@ -20,10 +20,11 @@ SIGMA_OVER_LAMBDA = 0.56
 """Envelope over wavelength for a bandwidth of one octave."""
 KERNEL_REACH = 3.0
 """A kernel is cut at this many standard deviations."""
-SHORTEST_ON_LEVEL_PX = 4.0
+SHORTEST_ON_LEVEL_PX = 2.8
 """An octave is descended only while the wavelength stays at least this many pixels."""
 MIN_WAVELENGTH_PX = 2.5
 """Below this a wavelength is not resolved."""
+_MAX_STRIDE = 4
 _GROUP = 8
 """Taps a pass takes at once; kernels are padded to whole groups."""
 _LEVEL_TOLERANCE = 0.01
@@ -81,11 +82,14 @@ class GaborBank:
         Evenly over half a turn; orientation 0 has its wave vector along the columns axis.
     sigma_over_lambda : float
         Envelope width over wavelength.
+    samples : int
+        Amplitudes taken along the side of a cell at the finest wavelength: 2 or 4 of a cell of 8 pixels.
     """
 
     wavelengths_m: tuple[float, ...]
     orientations: int
     sigma_over_lambda: float = SIGMA_OVER_LAMBDA
+    samples: int = 2
 
     def filters(self, pixel_m: tuple[float, float], step_px: int) -> tuple[Filters, ...]:
         """Return the taps for a raster with these pixels, one entry per wavelength.
@@ -119,7 +123,7 @@ class GaborBank:
         second[(first == 0) | (second == first)] = -1
         return Filters(
             level=level,
-            stride=2 if scale * 2 <= step_px else 1,
+            stride=_stride(step_px >> level, self.samples),
             row_even=row_even.astype(np.float32),
             row_odd=row_odd.astype(np.float32),
             col_even=col_even.astype(np.float32),
@@ -137,6 +141,11 @@ class GaborBank:
             max(_reach_px(one, taps) for one in self.filters(pixel_m, step_px) for taps in (one.col_even, one.col_odd)),
         )
         return rows, cols
+
+
+def _stride(per_cell: int, samples: int) -> int:
+    """Distance of samples for cells of so many level pixels a side; an amplitude is smooth over a wavelength."""
+    return min(max(per_cell // samples, min(per_cell, 2)), _MAX_STRIDE)
 
 
 def _reach_px(one: Filters, taps: F32) -> int:
@@ -248,7 +257,7 @@ def amplitudes(image: F32, filters: Filters, origin: tuple[int, int], per_cell: 
     if filters.stride == 1:
         image = np.ascontiguousarray(image.transpose(1, 2, 0)).reshape(1, image.shape[1], -1)
     _amplitude_cells(
-        image, origin[0], origin[1], per_cell // filters.stride,
+        image, origin[0], origin[1], per_cell // filters.stride, filters.stride,
         filters.row_even, filters.row_odd, filters.col_even, filters.col_odd,
         filters.col_envelope, filters.dc, filters.first, filters.second, out,
     )  # fmt: skip
@@ -337,16 +346,29 @@ def _add_cells(line: F32, samples: int, share: np.float32, out: F32) -> None:
 
 
 @njit(cache=True, nogil=True)
+def _deal(line: F32, out: F32) -> None:
+    """Deal the samples of a line out to the rows of `out` [turns, ...] in turn."""
+    turns = out.shape[0]
+    for turn in range(turns):
+        row = out[turn]
+        for c in range((line.shape[0] - turn + turns - 1) // turns):
+            row[c] = line[c * turns + turn]
+
+
+@njit(cache=True, nogil=True)
 def _amplitude_cells(
-    planes: F32, top: int, left: int, samples: int,
+    planes: F32, top: int, left: int, samples: int, stride: int,
     row_even: F32, row_odd: F32, col_even: F32, col_odd: F32, col_envelope: F32, dc: F32,
     first: NDArray[np.int64], second: NDArray[np.int64], out: F32,
 ) -> None:  # fmt: skip
-    stride, width = planes.shape[0], planes.shape[2]
+    phases, width = planes.shape[0], planes.shape[2]
+    turns = stride // phases
     n = out.shape[2] * samples
     share = np.float32(1.0 / (samples * samples))
     plus, minus = np.float32(1), np.float32(-1)
-    even, odd = np.empty((stride, width), np.float32), np.empty((stride, width), np.float32)
+    passed = np.empty(width, np.float32)
+    shorter = -(-width // turns)
+    even, odd = np.zeros((stride, shorter), np.float32), np.zeros((stride, shorter), np.float32)
     blur, ee, eo = np.zeros(n, np.float32), np.zeros(n, np.float32), np.zeros(n, np.float32)
     oe, oo, line = np.zeros(n, np.float32), np.zeros(n, np.float32), np.zeros(n, np.float32)
     out[:] = np.float32(0)
@@ -354,10 +376,12 @@ def _amplitude_cells(
         r, cell_row = top + sample_row * stride, sample_row // samples
         for f in range(first.shape[0]):
             row_wave, col_wave = f > 0, col_odd[f].any()
-            for phase in range(stride):
-                _row_pass(planes[phase], r, row_even[f], plus, even[phase])
+            for phase in range(phases):
+                _row_pass(planes[phase], r, row_even[f], plus, passed)
+                _deal(passed, even[phase::phases])
                 if row_wave:
-                    _row_pass(planes[phase], r, row_odd[f], minus, odd[phase])
+                    _row_pass(planes[phase], r, row_odd[f], minus, passed)
+                    _deal(passed, odd[phase::phases])
             if f == 0:
                 _col_pass(even, left, col_envelope, plus, blur)
             _col_pass(even, left, col_even[f], plus, ee)

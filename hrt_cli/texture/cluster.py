@@ -2,24 +2,32 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
-from sklearn.cluster import KMeans
-from threadpoolctl import threadpool_limits
 
 from hrt_cli.errors import ArgumentError
-from hrt_cli.texture.features import FeatureSettings
-from hrt_cli.texture.model import TextureModel
+from hrt_cli.texture.discriminate import Tile, discriminant, noise_whitening, pure
+from hrt_cli.texture.model import NOVEL_QUANTILE, TextureModel
+from hrt_cli.texture.settings import FeatureSettings
 
+MAX_ROUNDS = 100
+MOST_CONSIDERED = 12
+_CONSIDERED_PATCHES = 8000
 RESTARTS = 20
 """K-means starts; one start leaves the answer to luck (ARI sd .08), twenty do not (.001)."""
 _SPREAD_FLOOR = 1e-3
 """A channel that varies less than this (Lab units, log units) carries no information and is left out."""
 _DISTINCT_DECIMALS = 3
-_LIGHTNESS_WEIGHT = 0.65
-"""Weight of lightness beside a and b: at full weight a class is spent on the shadows of what is one ground."""
+_COLOUR_WEIGHTS = np.array([0.52, 1.1, 1.1]) / np.sqrt(3)
+"""Of L, a and b: at full weight of lightness a class is spent on the shadows of what is one ground."""
+_SCALE_WEIGHTS = (0.8, 1.0, 1.4, 1.0)
+"""Of four wavelengths, ascending: the shortest holds the noise of the camera, the third most of the ground."""
+_ONE_TEXTURE = "the image has one texture only: there is nothing to tell apart"
+MAX_POINTS = 20_000
+"""Patches that K-means sees."""
 
 F64 = NDArray[np.float64]
 
@@ -33,11 +41,14 @@ class Sample:
     values : ndarray [patches, channels] float64
     rgb : ndarray [patches, 3] float64
     roughness : ndarray [patches] float64
+    tiles : list of Tile
+        Where settings ask for a wide window: the tiles whose usable cells, in order, the patches are.
     """
 
     values: F64
     rgb: F64
     roughness: F64
+    tiles: list[Tile] = field(default_factory=list)
 
     @classmethod
     def joined(cls, parts: list[Sample]) -> Sample:
@@ -46,6 +57,7 @@ class Sample:
             np.concatenate([one.values for one in parts]),
             np.concatenate([one.rgb for one in parts]),
             np.concatenate([one.roughness for one in parts]),
+            [tile for one in parts for tile in one.tiles],
         )
 
 
@@ -60,12 +72,17 @@ def cluster(
         The sample holds one texture only, or fewer than `classes`.
     """
     mean = sample.values.mean(axis=0)
-    with threadpool_limits(1):
-        transform = _transform(sample.values - mean, settings)
-        coordinates = (sample.values - mean) @ transform.T
-        _refuse_too_few(coordinates, classes)
-        kmeans = KMeans(classes, n_init=RESTARTS, random_state=seed, algorithm="lloyd").fit(coordinates)
-    labels = kmeans.labels_
+    points = _points(sample, settings)
+    _refuse_too_few(points, classes)
+    centroids, labels = kmeans(_thinned(points, MAX_POINTS, seed), classes, seed)
+    if len(labels) < len(points) or settings.discriminates:
+        labels = distances(points, centroids).argmin(axis=0)
+    if settings.discriminates:
+        transform, means = discriminant(sample.values, labels, pure(sample.tiles, labels), classes)
+        centroids = _product(means - mean, transform)
+        coordinates = _product(sample.values - mean, transform)
+    else:
+        transform, coordinates = _transform(sample.values - mean, settings), points
     counts = np.bincount(labels, minlength=classes)
     if counts.min() == 0:
         raise ArgumentError(f"only {np.count_nonzero(counts)} distinct textures, K={classes} asked")
@@ -77,11 +94,129 @@ def cluster(
         pixel_m=pixel_m,
         mean=mean,
         transform=transform,
-        centroids=kmeans.cluster_centers_[order].astype(np.float64),
+        centroids=centroids[order],
         share=counts[order] / len(labels),
         mean_rgb=np.clip(mean_rgb[order], 0, 255),
         roughness=roughness[order],
+        radius=class_radius(coordinates, centroids, labels)[order],
     )
+
+
+def consider(sample: Sample, settings: FeatureSettings, seed: int) -> dict[int, float]:
+    """Judge numbers of classes by the variance ratio criterion (Calinski and Harabasz 1974).
+
+    It is the variance between classes over that within them, each by its degrees of freedom: it rises as long as a
+    further class tells textures apart, and falls when one is cut in two.
+
+    Returns
+    -------
+    dict of int to float
+        For 2 to `MOST_CONSIDERED` classes, or as many as there are distinct textures.
+
+    Raises
+    ------
+    ArgumentError
+        The sample holds one texture only.
+    """
+    from sklearn.metrics import calinski_harabasz_score
+
+    points = _thinned(_points(sample, settings), _CONSIDERED_PATCHES, seed)
+    most = min(MOST_CONSIDERED, _distinct(points) - 1)
+    if most < 2:
+        raise ArgumentError("the image has too few textures to choose a number of classes from")
+    found = {}
+    for classes in range(2, most + 1):
+        labels = kmeans(points, classes, seed)[1]
+        found[classes] = float(calinski_harabasz_score(points, labels))
+    return found
+
+
+def best(considered: dict[int, float]) -> int:
+    """Return the number of classes of the highest criterion, the fewest of equal ones."""
+    return max(considered, key=lambda classes: (considered[classes], -classes))
+
+
+def project(model: TextureModel, values: F64) -> F64:
+    """Return the coordinates [patches, coordinates] of features [patches, channels] in a model."""
+    return _product(values - model.mean, model.transform)
+
+
+def class_radius(points: F64, centroids: F64, labels: NDArray[np.int64]) -> F64:
+    """Return the distance from each centroid within which `NOVEL_QUANTILE` of its points lie."""
+    own = distances(points, centroids)[labels, np.arange(len(labels))]
+    held = [own[labels == k] for k in range(len(centroids))]
+    return np.array([np.quantile(one, NOVEL_QUANTILE) if len(one) else 0.0 for one in held])
+
+
+def kmeans(points: F64, classes: int, seed: int) -> tuple[F64, NDArray[np.int64]]:
+    """Partition points into classes of least squared distance (Lloyd 1982, seeded as Arthur and Vassilvitskii 2007).
+
+    The best of `RESTARTS` starts, carried on in double precision until no point changes its class: then the result is
+    a property of the points, and does not hang on the order of a processor's additions.
+
+    Parameters
+    ----------
+    points : ndarray [points, coordinates] float64
+    classes : int
+    seed : int
+
+    Returns
+    -------
+    centroids : ndarray [classes, coordinates] float64
+    labels : ndarray [points] int64
+    """
+    threads = cv2.getNumThreads()
+    try:
+        cv2.setNumThreads(1)
+        cv2.setRNGSeed(seed % 2**31)
+        stop = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, MAX_ROUNDS, 1e-4)
+        data = points.astype(np.float32)
+        _, _, found = cv2.kmeans(data, classes, None, stop, RESTARTS, cv2.KMEANS_PP_CENTERS)  # type: ignore[call-overload]
+    finally:
+        cv2.setNumThreads(threads)
+    centroids = found.astype(np.float64)
+    labels = distances(points, centroids).argmin(axis=0)
+    for _ in range(MAX_ROUNDS):
+        counts = np.bincount(labels, minlength=classes)
+        held = counts > 0
+        for axis in range(points.shape[1]):
+            sums = np.bincount(labels, points[:, axis], classes)
+            centroids[held, axis] = sums[held] / counts[held]
+        before, labels = labels, distances(points, centroids).argmin(axis=0)
+        if np.array_equal(before, labels):
+            break
+    return centroids, labels
+
+
+def distances(points: F64, centroids: F64) -> F64:
+    """Return the distance of every point from every centroid [centroids, points]."""
+    squares = np.zeros((len(centroids), len(points)))
+    for k, centroid in enumerate(centroids):
+        for axis, place in enumerate(centroid):
+            squares[k] += (points[:, axis] - place) ** 2
+    return np.asarray(np.sqrt(squares))
+
+
+def _product(left: F64, right: F64) -> F64:
+    """Return left · rightᵀ, summed in a fixed order: the same bits whatever BLAS there is and however many threads."""
+    return np.asarray(np.einsum("ik,jk->ij", left, right))
+
+
+def _points(sample: Sample, settings: FeatureSettings) -> F64:
+    """Return the coordinates in which K-means finds the classes [patches, coordinates]."""
+    if settings.discriminates:
+        values = np.concatenate([one.patches for one in sample.tiles])
+        if values.std(axis=0).max() <= _SPREAD_FLOOR:
+            raise ArgumentError(_ONE_TEXTURE)
+        return _product(values - values.mean(axis=0), noise_whitening(sample.tiles))
+    centred = sample.values - sample.values.mean(axis=0)
+    return _product(centred, _transform(centred, settings))
+
+
+def _thinned(points: F64, most: int, seed: int) -> F64:
+    if len(points) <= most:
+        return points
+    return points[np.sort(np.random.default_rng(seed).choice(len(points), most, replace=False))]
 
 
 def _transform(centred: F64, settings: FeatureSettings) -> F64:
@@ -89,18 +224,24 @@ def _transform(centred: F64, settings: FeatureSettings) -> F64:
     spread = centred.std(axis=0)
     scale = np.where(spread > _SPREAD_FLOOR, 1 / np.maximum(spread, _SPREAD_FLOOR), 0.0)
     if not scale.any():
-        raise ArgumentError("the image has one texture only: there is nothing to tell apart")
-    colour, texture = settings.block_sizes
+        raise ArgumentError(_ONE_TEXTURE)
+    _, texture = settings.block_sizes
     if settings.features == "site":
-        weights = np.concatenate([np.full(colour, 1 / np.sqrt(colour)), np.full(texture, 1 / np.sqrt(texture))])
-        weights[0] *= _LIGHTNESS_WEIGHT
-        return np.diag(scale * weights)
+        return np.diag(scale * np.concatenate([_COLOUR_WEIGHTS, _scale_weights(settings, texture)]))
     return _whitening(centred * scale) * scale
+
+
+def _scale_weights(settings: FeatureSettings, channels: int) -> F64:
+    """Return the weights of the texture channels, a unit in all."""
+    scales = len(settings.wavelengths_m)
+    per_scale = np.array(_SCALE_WEIGHTS) if scales == len(_SCALE_WEIGHTS) else np.ones(scales)
+    weights = np.repeat(per_scale, channels // scales)
+    return np.asarray(weights / np.sqrt((weights**2).sum()))
 
 
 def _whitening(scaled: F64) -> F64:
     """Return PCA whitening of standardised channels, without directions that hardly vary."""
-    values, vectors = np.linalg.eigh(scaled.T @ scaled / len(scaled))
+    values, vectors = np.linalg.eigh(_product(scaled.T, scaled.T) / len(scaled))
     kept = values > 1e-3 * values.max()
     # An eigenvector's sign is arbitrary; the largest component is made positive.
     chosen = vectors[:, kept]
@@ -110,10 +251,14 @@ def _whitening(scaled: F64) -> F64:
 
 
 def _refuse_too_few(coordinates: F64, classes: int) -> None:
-    distinct = len(np.unique(coordinates.round(_DISTINCT_DECIMALS), axis=0))
+    distinct = _distinct(coordinates)
     if distinct < classes:
         raise ArgumentError(f"only {distinct} distinct textures, K={classes} asked: ask for fewer classes")
 
 
-def _class_means(values: F64, labels: NDArray[np.int32], classes: int) -> F64:
+def _distinct(coordinates: F64) -> int:
+    return len(np.unique(coordinates.round(_DISTINCT_DECIMALS), axis=0))
+
+
+def _class_means(values: F64, labels: NDArray[np.int64], classes: int) -> F64:
     return np.stack([values[labels == k].mean(axis=0) for k in range(classes)])

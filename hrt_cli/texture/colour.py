@@ -20,15 +20,22 @@ _LINEAR_TO_XYZ = np.array(
 _CIE_EPSILON = (6 / 29) ** 3
 
 
-def cell_means(rgb: U8, valid: NDArray[np.bool_], step_px: int) -> tuple[F32, F32]:
+def cell_means(
+    planes: U8, valid: NDArray[np.bool_], origin: tuple[int, int], cells: tuple[int, int], step_px: int
+) -> tuple[F32, F32]:
     """Average the valid pixels of every cell.
 
     Parameters
     ----------
-    rgb : ndarray [rows, cols, 3] uint8
+    planes : ndarray [3, rows, cols] uint8
+        Red, green, blue.
     valid : ndarray [rows, cols] bool
+    origin : (int, int)
+        Pixel at which the first cell starts.
+    cells : (int, int)
+        Rows and columns of cells.
     step_px : int
-        Cell side; divides rows and cols.
+        Cell side.
 
     Returns
     -------
@@ -37,39 +44,36 @@ def cell_means(rgb: U8, valid: NDArray[np.bool_], step_px: int) -> tuple[F32, F3
     share : ndarray [cell rows, cell cols] float32 in [0, 1]
         Share of valid pixels.
     """
-    sums = _cell_sums(rgb.reshape(len(rgb), -1), valid, step_px)
+    sums = _cell_sums(planes, valid, origin[0], origin[1], cells[0], cells[1], step_px)
     mean = sums[:3].astype(np.float32)
     mean /= np.maximum(sums[3], 1).astype(np.float32)
     return mean, sums[3].astype(np.float32) * np.float32(1 / step_px**2)
 
 
 @njit(cache=True, nogil=True)
-def _cell_sums(samples: U8, valid: NDArray[np.bool_], step_px: int) -> NDArray[np.int32]:
-    """Sum the valid pixels of cells: red, green, blue and their number.
-
-    `samples` [rows, 3 · cols] is the image with its channels side by side: with a constant stride of 3 the compiler
-    vectorises the loop.
-    """
-    rows, cols = valid.shape[0] // step_px, valid.shape[1] // step_px
+def _cell_sums(
+    planes: U8, valid: NDArray[np.bool_], top: int, left: int, rows: int, cols: int, step_px: int
+) -> NDArray[np.int32]:
+    """Sum the valid pixels of cells: red, green, blue and their number."""
+    width = cols * step_px
     out = np.zeros((4, rows, cols), np.int32)
-    red, green = np.empty(valid.shape[1], np.int32), np.empty(valid.shape[1], np.int32)
-    blue, count = np.empty(valid.shape[1], np.int32), np.empty(valid.shape[1], np.int32)
+    line = np.empty((4, width), np.int32)
     for i in range(rows):
-        red[:], green[:], blue[:], count[:] = 0, 0, 0, 0
-        for r in range(i * step_px, (i + 1) * step_px):
-            line, mask = samples[r], valid[r]
-            for c in range(red.shape[0]):
+        line[:] = 0
+        for r in range(top + i * step_px, top + (i + 1) * step_px):
+            mask = valid[r, left : left + width]
+            red, green = planes[0, r, left : left + width], planes[1, r, left : left + width]
+            blue = planes[2, r, left : left + width]
+            for c in range(width):
                 inside = np.int32(mask[c])
-                red[c] += inside * np.int32(line[3 * c])
-                green[c] += inside * np.int32(line[3 * c + 1])
-                blue[c] += inside * np.int32(line[3 * c + 2])
-                count[c] += inside
-        for j in range(cols):
-            for c in range(j * step_px, (j + 1) * step_px):
-                out[0, i, j] += red[c]
-                out[1, i, j] += green[c]
-                out[2, i, j] += blue[c]
-                out[3, i, j] += count[c]
+                line[0, c] += inside * np.int32(red[c])
+                line[1, c] += inside * np.int32(green[c])
+                line[2, c] += inside * np.int32(blue[c])
+                line[3, c] += inside
+        for k in range(4):
+            for j in range(cols):
+                for c in range(j * step_px, (j + 1) * step_px):
+                    out[k, i, j] += line[k, c]
     return out
 
 

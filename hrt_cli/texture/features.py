@@ -1,7 +1,8 @@
-"""What is measured of a patch: the feature sets, computed per cell from a tile of the image."""
+"""From the measures of cells to features: colour and log energy averaged over windows, as K-means sees them."""
 
 from __future__ import annotations
 
+import itertools
 import math
 from dataclasses import dataclass
 from functools import cached_property
@@ -10,74 +11,26 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from hrt_cli.errors import ArgumentError
-from hrt_cli.raster.windows import Window
-from hrt_cli.texture.bank import MIN_WAVELENGTH_PX, GaborBank, amplitudes, halve
-from hrt_cli.texture.colour import HUE_BINS, LUMA, U8, cell_means, hue_histogram, hue_votes, lab, luma
-from hrt_cli.texture.lattice import CellGrid, gaussian_taps, smooth
+from hrt_cli.texture.colour import hue_histogram, hue_votes, lab
+from hrt_cli.texture.lattice import gaussian_taps, smooth
+from hrt_cli.texture.measure import COLOUR, SHARE, TEXTURE
+from hrt_cli.texture.settings import FeatureSettings
 
 F32 = NDArray[np.float32]
+Taps = tuple[F32, F32]
 
-FEATURE_SETS = ("site", "paper", "texture")
-ROTATIONS = ("invariant", "aware", "sorted")
-MAX_WAVELENGTH_PX = 512.0
-"""Above this the halo of a block would dwarf the block."""
-_MIN_SIGMA_CELLS = 0.8
+_MIN_SIGMA_CELLS = 0.7
 """Windows reach two cells at least, so that a patch beside the data's edge is defined."""
-_STEPS_PX = (2, 4, 8, 16, 32)
-_AMPLITUDE_FLOOR = 1e-3
-"""Added to an amplitude (relative contrast) before the logarithm: below 8-bit quantisation."""
-_LUMA_FLOOR = 8.0
-"""Added to the local mean luma before dividing by it, so that deep shadow is not all noise."""
-
-
-@dataclass(frozen=True)
-class FeatureSettings:
-    """What to measure, in metres on the ground.
-
-    Parameters
-    ----------
-    features : {"site", "paper", "texture"}
-        The feature set.
-    rotation : {"invariant", "aware", "sorted"}
-        How orientations enter: magnitudes of their Fourier transform, as they are, or ordered by size.
-    wavelengths_m : tuple of float
-    orientations : int
-    texture_sigma_m, colour_sigma_m, contrast_sigma_m : float
-        Windows over which energy and colour are averaged and luminance is levelled.
-    step_m : float
-        Distance between patches; rounded to a power of two of pixels.
-    """
-
-    features: str
-    rotation: str
-    wavelengths_m: tuple[float, ...]
-    orientations: int
-    texture_sigma_m: float
-    colour_sigma_m: float
-    contrast_sigma_m: float
-    step_m: float
-
-    @property
-    def texture_mode(self) -> str:
-        """How orientations really enter: see `texture_channels`."""
-        if self.features == "site" and self.rotation == "invariant":
-            return "mean"
-        if self.features == "paper" and self.rotation == "invariant":
-            return "sorted"
-        return self.rotation
-
-    @property
-    def block_sizes(self) -> tuple[int, int]:
-        """Number of colour and of texture channels."""
-        per_scale = {
-            "mean": 1,
-            "invariant": self.orientations // 2 + 1,
-            "aware": self.orientations,
-            "sorted": self.orientations,
-        }[self.texture_mode]
-        colour = {"site": 3, "paper": HUE_BINS, "texture": 0}[self.features]
-        return colour, per_scale * len(self.wavelengths_m)
+_BORDER_CELLS = 2
+"""A colour difference is taken over so many cells to either side."""
+_BORDER_LAB = 6.0
+"""Colour difference over that distance at which a cell counts a quarter."""
+_PURITY_FLOOR = 1e-3
+"""Where all is border, all counts alike."""
+_CHROMA_KNEE = 12.0
+"""a and b are linear below this and logarithmic above: greys are told apart by little chroma."""
+_CROSS_FLOOR = 1e-3
+_LARGEST_INVERSE = 1e-3
 
 
 @dataclass(frozen=True)
@@ -92,6 +45,8 @@ class Patches:
         Mean colour of the cell itself.
     roughness : ndarray [rows, cols] float32
         Mean log amplitude over wavelengths and orientations.
+    share : ndarray [rows, cols] float32
+        Share of valid pixels.
     usable : ndarray [rows, cols] bool
         At least half of the cell's pixels are valid.
     defined : ndarray [rows, cols] bool
@@ -101,217 +56,179 @@ class Patches:
     values: F32
     rgb: F32
     roughness: F32
+    share: F32
     usable: NDArray[np.bool_]
     defined: NDArray[np.bool_]
 
 
-class Extractor:
-    """Feature settings made ready for a raster with given pixels.
+class Windows:
+    """The windows over which measures become features, for cells of a given size.
 
     Parameters
     ----------
     settings : FeatureSettings
     pixel_m : (float, float)
         Ground metres per pixel along rows and columns.
-
-    Raises
-    ------
-    ArgumentError
-        A wavelength is shorter than 2.5 pixels or longer than 512.
+    step_px : int
+        Cell side.
     """
 
-    def __init__(self, settings: FeatureSettings, pixel_m: tuple[float, float]) -> None:
-        coarse, fine = max(pixel_m), min(pixel_m)
-        shortest, longest = min(settings.wavelengths_m), max(settings.wavelengths_m)
-        if shortest / coarse < MIN_WAVELENGTH_PX * (1 - 1e-6):
-            raise ArgumentError(
-                f"the texture wavelength {shortest:g} m is {shortest / coarse:.2g} pixels at {coarse:g} m per pixel, "
-                f"but {MIN_WAVELENGTH_PX:g} pixels are needed: use a finer image or fit longer wavelengths"
-            )
-        if longest / fine > MAX_WAVELENGTH_PX:
-            raise ArgumentError(
-                f"the texture wavelength {longest:g} m is {longest / fine:.0f} pixels at {fine:g} m per pixel, "
-                f"more than {MAX_WAVELENGTH_PX:g}: resample the image or fit shorter wavelengths"
-            )
+    def __init__(self, settings: FeatureSettings, pixel_m: tuple[float, float], step_px: int) -> None:
         self.settings = settings
-        self.pixel_m = pixel_m
-        self.step_px = min(_STEPS_PX, key=lambda step: abs(math.log2(settings.step_m / coarse / step)))
-        self.bank = GaborBank(settings.wavelengths_m, settings.orientations)
-        self.filters = self.bank.filters(pixel_m, self.step_px)
+        self._cell_m = (pixel_m[0] * step_px, pixel_m[1] * step_px)
 
-    def _window_taps(self, sigma_m: float) -> tuple[F32, F32]:
-        rows, cols = (max(sigma_m / (d * self.step_px), _MIN_SIGMA_CELLS) for d in self.pixel_m)
+    def _taps(self, sigma_m: float) -> Taps:
+        rows, cols = (max(sigma_m / cell_m, _MIN_SIGMA_CELLS) for cell_m in self._cell_m)
         return gaussian_taps(rows), gaussian_taps(cols)
 
     @cached_property
-    def _contrast_taps(self) -> tuple[F32, F32]:
-        return self._window_taps(self.settings.contrast_sigma_m)
+    def _texture_taps(self) -> Taps:
+        return self._taps(self.settings.texture_sigma_m)
 
     @cached_property
-    def _texture_taps(self) -> tuple[F32, F32]:
-        return self._window_taps(self.settings.texture_sigma_m)
+    def _fit_taps(self) -> Taps:
+        return self._taps(self.settings.fit_sigma_m)
 
     @cached_property
-    def _colour_taps(self) -> tuple[F32, F32]:
-        return self._window_taps(self.settings.colour_sigma_m)
-
-    @cached_property
-    def _filter_cells(self) -> tuple[int, int]:
-        rows, cols = self.bank.reach_px(self.pixel_m, self.step_px)
-        return -(-rows // self.step_px), -(-cols // self.step_px)
+    def _colour_taps(self) -> Taps:
+        return self._taps(self.settings.colour_sigma_m)
 
     @cached_property
     def halo_cells(self) -> tuple[int, int]:
-        """Cells that must be read around the cells wanted, along rows and columns."""
-        rows, cols = (
-            max(
-                len(self._texture_taps[axis]) - 1 + self._filter_cells[axis] + len(self._contrast_taps[axis]),
-                len(self._colour_taps[axis]) - 1,
-            )
-            for axis in (0, 1)
-        )
+        """Cells that are needed around the cells wanted, along rows and columns, for `patches`."""
+        rows, cols = (self._halo(axis) for axis in (0, 1))
         return rows, cols
 
-    @property
-    def halo_px(self) -> tuple[int, int]:
-        """Pixels that are read around a block for exact answers, along rows and columns."""
-        rows, cols = self.halo_cells
-        return (rows + 2) * self.step_px, (cols + 2) * self.step_px
+    def _halo(self, axis: int) -> int:
+        texture, colour = len(self._texture_taps[axis]) - 1, len(self._colour_taps[axis]) - 1
+        if self.settings.features == "site":
+            return texture + _BORDER_CELLS + colour
+        return max(texture, colour, 1)
 
-    def read_window(self, grid: CellGrid, anchor: tuple[int, int]) -> Window:
-        """Return the window to read for the patches of `grid`."""
-        return grid.grown(*self.halo_cells).window(anchor)
+    @cached_property
+    def fit_halo_cells(self) -> tuple[int, int]:
+        """Cells that are needed around the cells wanted, along rows and columns, for `wide`."""
+        return len(self._fit_taps[0]) - 1, len(self._fit_taps[1]) - 1
 
-    def patches(self, rgb: NDArray[np.uint8], valid: NDArray[np.bool_]) -> Patches:
-        """Measure every cell of a tile but its halo.
+    def patches(self, cells: F32) -> Patches:
+        """Return the features of every cell but the halo.
 
         Parameters
         ----------
-        rgb : ndarray [rows, cols, 3] uint8
-        valid : ndarray [rows, cols] bool
-            Both of the window `read_window` names.
+        cells : ndarray [channels, rows, cols] float32
+            Measures; see `hrt_cli.texture.measure`.
         """
-        rgb, valid = np.ascontiguousarray(rgb), np.ascontiguousarray(valid)
-        mean, share = cell_means(rgb, valid, self.step_px)
-        halo_r, halo_c = self.halo_cells
-        log_amplitude = self._log_amplitudes(rgb, valid, mean, share)
-        texture = self._texture(log_amplitude, share)
-        colour = self._colour(mean, share)
-        inner = (slice(halo_r, -halo_r), slice(halo_c, -halo_c))
+        share, log_amplitude = cells[SHARE], cells[TEXTURE]
+        if self.settings.features == "site":
+            colour, weights = self._site_colour(cells[COLOUR], share)
+        else:
+            colour, weights = self._hues(cells[COLOUR], share), share
+        if self.settings.discriminates:
+            averaged = self._harmonic(log_amplitude, weights)
+        else:
+            averaged = self._averaged(log_amplitude, weights, self._texture_taps)
+        texture = self._channels(averaged)
+        inner = _inner(share, self.halo_cells)
         usable = share >= np.float32(0.5)
         return Patches(
             values=np.concatenate([colour, texture[1:]]),
-            rgb=mean[:, *inner],
+            rgb=cells[COLOUR][:, *inner],
             roughness=texture[0],
+            share=np.ascontiguousarray(share[inner]),
             usable=usable[inner],
             defined=_dilate(usable)[inner],
         )
 
-    def _log_amplitudes(self, rgb: U8, valid: NDArray[np.bool_], mean: F32, share: F32) -> F32:
-        """Return [wavelengths, orientations, rows, cols] on the cells that the texture window needs."""
-        local, _ = smooth(luma(mean)[None], share, *self._contrast_taps)
-        crop_r, crop_c = (
-            self.halo_cells[axis] - (len(self._texture_taps[axis]) - 1) - self._filter_cells[axis] for axis in (0, 1)
-        )
-        spare_r, spare_c = crop_r - len(self._contrast_taps[0]), crop_c - len(self._contrast_taps[1])
-        local = np.ascontiguousarray(local[0, spare_r : local.shape[1] - spare_r, spare_c : local.shape[2] - spare_c])
-        step = self.step_px
-        levels = [_relative_luma(rgb.reshape(len(rgb), -1), valid, local, step, crop_r * step, crop_c * step)]
-        for _ in range(max(one.level for one in self.filters)):
-            levels.append(halve(levels[-1]))
-        margin_r, margin_c = self._filter_cells
-        cells = (local.shape[0] - 2 - 2 * margin_r, local.shape[1] - 2 - 2 * margin_c)
-        out = np.empty((len(self.filters), self.settings.orientations, *cells), np.float32)
-        for index, one in enumerate(self.filters):
-            per_cell = step >> one.level
-            origin = (margin_r * per_cell, margin_c * per_cell)
-            amplitudes(levels[one.level], one, origin, per_cell, out[index])
-        out += np.float32(_AMPLITUDE_FLOOR)
-        return np.log(out, out=out)
+    def wide(self, cells: F32) -> F32:
+        """Return the texture channels in the window of the fit, of every cell but `fit_halo_cells`."""
+        averaged, _ = smooth(np.ascontiguousarray(cells[TEXTURE]), cells[SHARE], *self._fit_taps)
+        return self._channels(averaged)[1:]
 
-    def _texture(self, log_amplitude: F32, share: F32) -> F32:
-        """Return the roughness and the texture channels, averaged over the texture window."""
-        row_taps, col_taps = self._texture_taps
-        crop_r = (share.shape[0] - log_amplitude.shape[2]) // 2
-        crop_c = (share.shape[1] - log_amplitude.shape[3]) // 2
-        weights = np.ascontiguousarray(share[crop_r : share.shape[0] - crop_r, crop_c : share.shape[1] - crop_c])
-        mode = self.settings.texture_mode
-        if mode == "mean":
-            channels, _ = smooth(_orientation_mean(log_amplitude), weights, row_taps, col_taps)
-            return np.concatenate([_mean(channels)[None], channels])
-        flat = log_amplitude.reshape(-1, *log_amplitude.shape[2:])
-        smoothed, _ = smooth(flat, weights, row_taps, col_taps)
-        per_scale = smoothed.reshape(*log_amplitude.shape[:2], *smoothed.shape[1:])
+    def _averaged(self, values: F32, weights: F32, taps: Taps) -> F32:
+        """Average over a window; `values` and `weights` [.., rows, cols] may have more around than it needs."""
+        rows, cols = (self.halo_cells[axis] - (len(taps[axis]) - 1) for axis in (0, 1))
+        spare = tuple((values.shape[1 + axis] - weights.shape[axis]) // 2 for axis in (0, 1))
+        inside = np.ascontiguousarray(values[(slice(None), *_inner(values[0], (rows, cols)))])
+        around = (rows - spare[0], cols - spare[1])
+        return smooth(inside, np.ascontiguousarray(weights[_inner(weights, around)]), *taps)[0]
+
+    def _harmonic(self, log_amplitude: F32, weights: F32) -> F32:
+        """Return the log of the harmonic mean amplitude.
+
+        A strong texture spills over a border through the filters' envelope, and the logarithm makes the spill wide;
+        the harmonic mean leans to the weak side and takes it back.
+        """
+        mean = self._averaged(np.exp(-log_amplitude), weights, self._texture_taps)
+        return -np.log(np.maximum(mean, np.float32(_LARGEST_INVERSE)))
+
+    def _site_colour(self, mean: F32, share: F32) -> tuple[F32, F32]:
+        """Return the colour channels, and the weights of cells in the texture window.
+
+        The weights are the shares of valid pixels times the cells' purity: a cell beside a border of colours counts
+        little, so that its neighbours take their texture from plain ground, mostly on their own side of it.
+        """
+        smoothed, _ = smooth(lab(mean), share, *self._colour_taps)
+        reach = len(self._colour_taps[0]) - 1, len(self._colour_taps[1]) - 1
+        weights = _purity(smoothed, np.ascontiguousarray(share[_inner(share, reach)]))
+        rows, cols = (self.halo_cells[axis] - reach[axis] for axis in (0, 1))
+        colour = smoothed[(slice(None), *_inner(smoothed[0], (rows, cols)))].copy()
+        knee = np.float32(_CHROMA_KNEE)
+        colour[1:] = np.arcsinh(colour[1:] / knee) * knee
+        return colour, weights
+
+    def _hues(self, mean: F32, share: F32) -> F32:
+        """Return the hue histogram, or no channel where colour does not count."""
+        if self.settings.features == "texture":
+            rows, cols = (share.shape[axis] - 2 * self.halo_cells[axis] for axis in (0, 1))
+            return np.empty((0, rows, cols), np.float32)
+        return hue_histogram(self._averaged(hue_votes(lab(mean)), share, self._colour_taps))
+
+    def _channels(self, averaged: F32) -> F32:
+        """Return the roughness and the texture channels of averaged log amplitudes."""
+        mode, scales = self.settings.texture_mode, len(self.settings.wavelengths_m)
+        per_scale = averaged.reshape(scales, -1, *averaged.shape[1:])
         roughness = _mean(_orientation_mean(per_scale))
+        further = np.empty((0, *averaged.shape[1:]), np.float32)
+        if self.settings.compares_scales:
+            further = _cross_scale(per_scale)
         if mode == "invariant":
             per_scale = _fourier_magnitudes(per_scale)
         elif mode == "sorted":
             per_scale = np.sort(per_scale, axis=1)
-        return np.concatenate([roughness[None], per_scale.reshape(-1, *per_scale.shape[2:])])
-
-    def _colour(self, mean: F32, share: F32) -> F32:
-        """Return the colour channels, averaged over the colour window."""
-        row_taps, col_taps = self._colour_taps
-        crop_r = self.halo_cells[0] - (len(row_taps) - 1)
-        crop_c = self.halo_cells[1] - (len(col_taps) - 1)
-        inner = (slice(crop_r, share.shape[0] - crop_r), slice(crop_c, share.shape[1] - crop_c))
-        weights = np.ascontiguousarray(share[inner])
-        if self.settings.features == "texture":
-            rows, cols = weights.shape[0] - 2 * len(row_taps) + 2, weights.shape[1] - 2 * len(col_taps) + 2
-            return np.empty((0, rows, cols), np.float32)
-        cells = lab(np.ascontiguousarray(mean[:, *inner]))
-        if self.settings.features == "site":
-            return smooth(cells, weights, row_taps, col_taps)[0]
-        return hue_histogram(smooth(hue_votes(cells), weights, row_taps, col_taps)[0])
+        if self.settings.scale_invariant:
+            per_scale = np.sort(per_scale, axis=0)
+        return np.concatenate([roughness[None], per_scale.reshape(-1, *per_scale.shape[2:]), further])
 
 
-@njit(cache=True, nogil=True)
-def _relative_luma(samples: U8, valid: NDArray[np.bool_], local: F32, step_px: int, top: int, left: int) -> F32:
-    """Return luma relative to its local mean, minus 1, and 0 where invalid: [2, rows, cols / 2], even and odd columns.
+def _inner(values: NDArray[np.generic], halo: tuple[int, int]) -> tuple[slice, slice]:
+    return slice(halo[0], values.shape[0] - halo[0]), slice(halo[1], values.shape[1] - halo[1])
 
-    `samples` [rows, 3 · cols] is the image with its channels side by side.
-    `local` holds the mean of every cell wanted and of one more cell on each side; between cell centres it is
-    interpolated bilinearly. `top` and `left` are the pixel at which the cells wanted start.
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _purity(colour: F32, share: F32) -> F32:
+    """Return share / (1 + g / `_BORDER_LAB`²)², g the squared colour differences along both axes.
+
+    `colour` [3, rows, cols] is smoothed Lab; the result is smaller by `_BORDER_CELLS` on each side. A difference
+    counts only where both its cells are at least half valid.
     """
-    rows, cols = (local.shape[0] - 2) * step_px, (local.shape[1] - 2) * step_px
-    out = np.empty((2, rows, cols // 2), np.float32)
-    half = step_px // 2
-    parts = ((np.arange(step_px) + 0.5) / step_px).astype(np.float32)
-    upper, lower = np.empty(cols + 2 * step_px, np.float32), np.empty(cols + 2 * step_px, np.float32)
-    line = np.empty(cols, np.float32)
-    floor = np.float32(_LUMA_FLOOR)
-    weights = LUMA
-    for r in range(rows):
-        low, phase = (r + half) // step_px, (r + half) % step_px
-        if r == 0 or phase == 0:
-            _stretch(local[low], step_px, upper)
-            _stretch(local[low + 1], step_px, lower)
-        above, below = upper[step_px : step_px + cols], lower[step_px : step_px + cols]
-        pixels, inside = samples[top + r, 3 * left :], valid[top + r, left:]
-        part = parts[phase]
-        for c in range(cols):
-            mean = above[c] + part * (below[c] - above[c])
-            value = (
-                weights[0] * np.float32(pixels[3 * c])
-                + weights[1] * np.float32(pixels[3 * c + 1])
-                + weights[2] * np.float32(pixels[3 * c + 2])
-            )
-            relative = (value - mean) / (mean + floor)
-            line[c] = relative if inside[c] else np.float32(0)
-        for c in range(cols // 2):
-            out[0, r, c] = line[2 * c]
-            out[1, r, c] = line[2 * c + 1]
+    span, half = _BORDER_CELLS, np.float32(0.5)
+    scale, floor = np.float32(1 / _BORDER_LAB**2), np.float32(_PURITY_FLOOR)
+    out = np.empty((share.shape[0] - 2 * span, share.shape[1] - 2 * span), np.float32)
+    for r in range(out.shape[0]):
+        y = r + span
+        for c in range(out.shape[1]):
+            x = c + span
+            along, across = np.float32(0), np.float32(0)
+            for k in range(3):
+                d = colour[k, y, x + span] - colour[k, y, x - span]
+                e = colour[k, y + span, x] - colour[k, y - span, x]
+                along += d * d
+                across += e * e
+            along = along if min(share[y, x + span], share[y, x - span]) >= half else np.float32(0)
+            across = across if min(share[y + span, x], share[y - span, x]) >= half else np.float32(0)
+            q = np.float32(1) / (np.float32(1) + (along + across) * scale)
+            out[r, c] = share[y, x] * max(q * q, floor)
     return out
-
-
-@njit(cache=True, nogil=True)
-def _stretch(cells: F32, step_px: int, out: F32) -> None:
-    """Interpolate a line of cells linearly between their centres; half a cell at each end is left as it is."""
-    half = step_px // 2
-    for cell in range(cells.shape[0] - 1):
-        start, base, rise = cell * step_px + half, cells[cell], cells[cell + 1] - cells[cell]
-        for c in range(step_px):
-            out[start + c] = base + np.float32((c + 0.5) / step_px) * rise
 
 
 def _mean(channels: F32) -> F32:
@@ -326,6 +243,17 @@ def _orientation_mean(per_scale: F32) -> F32:
     return np.stack([_mean(one) for one in per_scale])
 
 
+def _coefficient(one_scale: F32, order: int) -> tuple[F32, F32]:
+    """Return the real and the imaginary part of a Fourier coefficient over orientations [orientations, rows, cols]."""
+    count = len(one_scale)
+    real, imag = np.zeros(one_scale.shape[1:], np.float32), np.zeros(one_scale.shape[1:], np.float32)
+    for orientation in range(count):
+        angle = 2 * math.pi * order * orientation / count
+        real += np.float32(math.cos(angle) / count) * one_scale[orientation]
+        imag += np.float32(math.sin(angle) / count) * one_scale[orientation]
+    return real, imag
+
+
 def _fourier_magnitudes(per_scale: F32) -> F32:
     """Return the mean over orientations and the magnitudes of their further Fourier coefficients.
 
@@ -334,15 +262,26 @@ def _fourier_magnitudes(per_scale: F32) -> F32:
     count = per_scale.shape[1]
     out = np.empty((per_scale.shape[0], count // 2 + 1, *per_scale.shape[2:]), np.float32)
     out[:, 0] = _orientation_mean(per_scale)
-    for order in range(1, count // 2 + 1):
-        real = np.zeros(out[:, 0].shape, np.float32)
-        imag = np.zeros(out[:, 0].shape, np.float32)
-        for orientation in range(count):
-            angle = 2 * math.pi * order * orientation / count
-            real += np.float32(math.cos(angle) / count) * per_scale[:, orientation]
-            imag += np.float32(math.sin(angle) / count) * per_scale[:, orientation]
-        out[:, order] = np.sqrt(real * real + imag * imag)
+    for scale, one in enumerate(per_scale):
+        for order in range(1, count // 2 + 1):
+            real, imag = _coefficient(one, order)
+            out[scale, order] = np.sqrt(real * real + imag * imag)
     return out
+
+
+def _cross_scale(per_scale: F32) -> F32:
+    """Return how the main directions of neighbouring wavelengths lie to each other [2 · (scales − 1), rows, cols].
+
+    The product of one's first Fourier coefficient and the other's conjugate: a turn moves both phases alike. Divided
+    by the root of its size it is as large as the magnitudes are.
+    """
+    found = [_coefficient(one, 1) for one in per_scale]
+    parts = []
+    for (a, b), (c, d) in itertools.pairwise(found):
+        real, imag = a * c + b * d, b * c - a * d
+        size = np.sqrt(np.sqrt(real * real + imag * imag) + np.float32(_CROSS_FLOOR))
+        parts += [real / size, imag / size]
+    return np.stack(parts) if parts else np.empty((0, *per_scale.shape[2:]), np.float32)
 
 
 def _dilate(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:

@@ -8,14 +8,15 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from hrt_cli.texture.features import FEATURE_SETS, ROTATIONS, FeatureSettings
+from hrt_cli.texture.settings import FEATURE_SETS, ROTATIONS, FeatureSettings
 
-MODEL_VERSION = 1
+MODEL_VERSION = 2
 MAX_CLASSES = 255
 """Classes are 0 … 254 in a uint8 raster; 255 is nodata."""
+NOVEL_QUANTILE = 0.999
 MAX_WAVELENGTHS = 16
 MAX_ORIENTATIONS = 32
-_SCALARS = ("texture_sigma_m", "colour_sigma_m", "contrast_sigma_m", "step_m")
+_SCALARS = ("texture_sigma_m", "fit_sigma_m", "colour_sigma_m", "contrast_sigma_m", "step_m")
 
 F64 = NDArray[np.float64]
 
@@ -42,6 +43,9 @@ class TextureModel:
     mean_rgb : ndarray [classes, 3] float64 in [0, 255]
     roughness : ndarray [classes] float64
         Mean log Gabor amplitude (log of relative contrast).
+    radius : ndarray [classes] float64
+        Distance from the centroid that `NOVEL_QUANTILE` of the class's own patches stay within, in coordinates. What
+        lies further from every class is unlike all that the model was fitted on.
     version : int
     """
 
@@ -53,6 +57,7 @@ class TextureModel:
     share: F64
     mean_rgb: F64
     roughness: F64
+    radius: F64
     version: int = MODEL_VERSION
 
     @property
@@ -84,11 +89,12 @@ class TextureModel:
             "features": np.array(settings.features),
             "rotation": np.array(settings.rotation),
             "orientations": np.array(settings.orientations, np.int64),
+            "scale_invariant": np.array(int(settings.scale_invariant), np.int64),
             "wavelengths_m": np.array(settings.wavelengths_m, np.float64),
             "pixel_m": np.array(self.pixel_m, np.float64),
         }
         arrays.update({name: np.array(getattr(settings, name), np.float64) for name in _SCALARS})
-        for name in ("mean", "transform", "centroids", "share", "mean_rgb", "roughness"):
+        for name in ("mean", "transform", "centroids", "share", "mean_rgb", "roughness", "radius"):
             arrays[name] = np.array(getattr(self, name), np.float64)
         return arrays
 
@@ -103,8 +109,9 @@ class TextureModel:
             later version.
         """
         version = _integer(arrays, "version", 1, None)
-        if version > MODEL_VERSION:
-            raise ValueError(f"texture model version {version} is later than {MODEL_VERSION}: update hrt to use it")
+        if version != MODEL_VERSION:
+            remedy = "update hrt to use it" if version > MODEL_VERSION else "fit it again"
+            raise ValueError(f"it is of version {version}, this hrt reads version {MODEL_VERSION}: {remedy}")
         settings = _settings(arrays)
         pixel_m = _floats(arrays, "pixel_m", (2,), low=0.0, exclusive=True)
         channels = sum(settings.block_sizes)
@@ -124,6 +131,7 @@ class TextureModel:
             share=share,
             mean_rgb=_floats(arrays, "mean_rgb", (classes, 3), low=0.0, high=255.0),
             roughness=_floats(arrays, "roughness", (classes,)),
+            radius=_floats(arrays, "radius", (classes,), low=0.0),
             version=version,
         )
 
@@ -156,6 +164,7 @@ def _settings(arrays: dict[str, NDArray[np.generic]]) -> FeatureSettings:
         rotation=_choice(arrays, "rotation", ROTATIONS),
         wavelengths_m=tuple(float(value) for value in wavelengths),
         orientations=_integer(arrays, "orientations", 2, MAX_ORIENTATIONS),
+        scale_invariant=bool(_integer(arrays, "scale_invariant", 0, 1)),
         **scalars,
     )
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Generator, Iterable, Iterator
+from collections.abc import Callable, Generator, Iterable
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import closing
 from dataclasses import dataclass
@@ -14,23 +14,28 @@ from numpy.typing import NDArray
 
 from hrt_cli.errors import ArgumentError
 from hrt_cli.progress import Progress, silent
-from hrt_cli.raster.windows import ImageSource, Window, blocks
-from hrt_cli.texture.cluster import Sample, cluster
-from hrt_cli.texture.features import FEATURE_SETS, ROTATIONS, Extractor, FeatureSettings
+from hrt_cli.raster.windows import Window, blocks
+from hrt_cli.texture.cells import Cells
+from hrt_cli.texture.cluster import Sample
+from hrt_cli.texture.discriminate import TEMPERATURE, Tile
+from hrt_cli.texture.features import Windows
 from hrt_cli.texture.label import NODATA, cell_scores, count_classes, label
 from hrt_cli.texture.lattice import CellGrid
+from hrt_cli.texture.measure import Gauge
 from hrt_cli.texture.model import MAX_CLASSES, TextureModel
+from hrt_cli.texture.settings import FEATURE_SETS, PRESETS, ROTATIONS, STEP_PX, FeatureSettings
+from hrt_cli.texture.vote import halo_cells, vote
 
 SAMPLE_TILE_PX = 512
 """Side of the tiles that the sample is drawn from; fixed, so that the sample depends on the seed alone."""
 MAX_SAMPLE_TILES = 64
+MAX_WHOLE_TILES = 16
+"""Where neighbours count, tiles are taken whole, and fewer of them."""
 MAX_SAMPLE = 40_000
-"""Patches K-means sees."""
-STRIP_PX = 2048
-"""Blocks of a row are worked on together up to this width."""
 _LOOK_AHEAD = 2
 """Blocks in work or waiting for their turn, per worker."""
 
+F32 = NDArray[np.float32]
 Sink = Callable[[Window, NDArray[np.uint8]], None]
 _Item = TypeVar("_Item")
 _Result = TypeVar("_Result")
@@ -38,37 +43,30 @@ _Result = TypeVar("_Result")
 
 @dataclass(frozen=True)
 class SegmentSpec:
-    """What to look for; lengths in pixels of the image that is fitted.
+    """What to look for.
 
     Parameters
     ----------
-    classes : int
-        Number of texture classes, 2 to 255.
+    classes : int or None
+        Number of texture classes, 2 to 255; None to choose it from the image.
     features : {"site", "paper", "texture"}
         Colour and texture of a site; hue histogram and Gabor order statistics, whitened; Gabor alone, whitened.
     rotation : {"invariant", "aware", "sorted"}
         Whether one texture turned is the same texture.
     wavelengths_m : tuple of float, optional
-        Wavelengths on the ground; by default 4, 8, 16 and 32 pixels.
+        Wavelengths on the ground; by default those of the feature set's preset.
     seed : int
         Of the sample and of K-means.
-    orientations : int
-    texture_sigma_px, colour_sigma_px, contrast_sigma_px : float
-        Windows over which energy and colour are averaged, and luminance is levelled.
-    step_px : int
-        Distance between patches, a power of two.
+    scale_invariant : bool
+        Whether one texture seen larger is the same texture.
     """
 
-    classes: int
+    classes: int | None
     features: str = "site"
     rotation: str = "invariant"
     wavelengths_m: tuple[float, ...] | None = None
     seed: int = 0
-    orientations: int = 6
-    texture_sigma_px: float = 16.0
-    colour_sigma_px: float = 8.0
-    contrast_sigma_px: float = 12.0
-    step_px: int = 8
+    scale_invariant: bool = False
 
     def settings(self, pixel_m: tuple[float, float]) -> FeatureSettings:
         """Return the settings in metres for an image with these pixels.
@@ -78,31 +76,30 @@ class SegmentSpec:
         ArgumentError
             The number of classes, a name or a wavelength is out of range.
         """
-        if not 2 <= self.classes <= MAX_CLASSES:
+        if self.classes is not None and not 2 <= self.classes <= MAX_CLASSES:
             raise ArgumentError(f"{self.classes} classes asked: choose 2 to {MAX_CLASSES}")
         if self.features not in FEATURE_SETS:
             raise ArgumentError(f"unknown feature set {self.features!r}: choose {', '.join(FEATURE_SETS)}")
         if self.rotation not in ROTATIONS:
             raise ArgumentError(f"unknown rotation mode {self.rotation!r}: choose {', '.join(ROTATIONS)}")
-        ground = max(pixel_m)
+        ground, preset = max(pixel_m), PRESETS[self.features]
         wavelengths = self.wavelengths_m
         if wavelengths is None:
-            wavelengths = tuple(px * ground for px in DEFAULT_WAVELENGTHS_PX)
+            wavelengths = tuple(px * ground for px in preset.wavelengths_px)
         if not wavelengths or not all(np.isfinite(one) and one > 0 for one in wavelengths):
             raise ArgumentError(f"wavelengths must be lengths above 0 m, not {wavelengths}")
         return FeatureSettings(
             features=self.features,
             rotation=self.rotation,
             wavelengths_m=tuple(sorted(wavelengths)),
-            orientations=self.orientations,
-            texture_sigma_m=self.texture_sigma_px * ground,
-            colour_sigma_m=self.colour_sigma_px * ground,
-            contrast_sigma_m=self.contrast_sigma_px * ground,
-            step_m=self.step_px * ground,
+            orientations=preset.orientations,
+            texture_sigma_m=preset.texture_sigma_px * ground,
+            fit_sigma_m=preset.fit_sigma_px * ground,
+            colour_sigma_m=preset.colour_sigma_px * ground,
+            contrast_sigma_m=preset.contrast_sigma_px * ground,
+            step_m=STEP_PX * ground,
+            scale_invariant=self.scale_invariant,
         )
-
-
-DEFAULT_WAVELENGTHS_PX = (4.0, 8.0, 16.0, 32.0)
 
 
 @dataclass(frozen=True)
@@ -130,34 +127,38 @@ class SegmentStats:
         return tuple(count / total for count in self.class_pixels)
 
 
-def fit(source: ImageSource, spec: SegmentSpec, *, workers: int = 1, progress: Progress = silent) -> TextureModel:
-    """Find the texture classes of an image.
+def draw_sample(cells: Cells, seed: int) -> Sample:
+    """Draw patches from all over an image.
 
-    The sample is drawn from tiles of a fixed size that the seed alone chooses (all of them where the image is small),
-    so the model depends neither on blocks nor on workers.
-
-    Parameters
-    ----------
-    source : ImageSource
-    spec : SegmentSpec
-    workers : int
-        Threads that measure tiles.
-    progress : Progress
-        Counts tiles, then one step for the clustering.
+    They come from tiles of a fixed size that the seed alone chooses (all of them where the image is small), so the
+    sample depends neither on blocks nor on workers.
 
     Raises
     ------
     ArgumentError
-        The specification is out of range, no pixel is valid, or the image holds fewer textures than classes.
+        No patch is at least half valid.
     """
-    settings = spec.settings(source.pixel_m)
-    extractor = Extractor(settings, source.pixel_m)
-    sample = _draw_sample(source, extractor, spec.seed, workers, progress)
-    return cluster(sample, settings, source.pixel_m, spec.classes, spec.seed)
+    windows = Windows(cells.settings, cells.pixel_m, cells.grid.step_px)
+    tiles = list(blocks(cells.shape, SAMPLE_TILE_PX, cells.anchor))
+    order = np.random.default_rng(seed).permutation(len(tiles))
+    wanted = min(len(tiles), MAX_SAMPLE_TILES)
+    if cells.settings.discriminates:
+        wanted = min(wanted, MAX_WHOLE_TILES)
+    quota = -(-MAX_SAMPLE // wanted)
+    parts: list[Sample] = []
+    for index in order:
+        part = _draw(cells, windows, tiles[index], quota, np.random.default_rng([seed, index]))
+        if part is not None:
+            parts.append(part)
+        if len(parts) == wanted:
+            break
+    if not parts:
+        raise ArgumentError("no valid pixel in the image (no patch of it is half valid): there is nothing to segment")
+    return Sample.joined(parts)
 
 
 def predict(
-    source: ImageSource,
+    cells: Cells,
     model: TextureModel,
     sink: Sink,
     *,
@@ -169,7 +170,8 @@ def predict(
 
     Parameters
     ----------
-    source : ImageSource
+    cells : Cells
+        Measured with `model.settings`.
     model : TextureModel
     sink : callable
         Called as `sink(window, classes)` for every block, row by row, from this thread; `classes` is
@@ -177,56 +179,39 @@ def predict(
     block_px : int
         Side of a block; the classes do not depend on it.
     workers : int
-        Threads that measure blocks; the classes do not depend on it.
+        Threads that work on blocks; the classes do not depend on it.
     progress : Progress
         Counts blocks.
-
-    Raises
-    ------
-    ArgumentError
-        The image is too coarse or too fine for the model's wavelengths.
     """
-    extractor = Extractor(model.settings, source.pixel_m)
-    mean, gain, offset = model.linear_scores()
-    windows = list(blocks(source.shape, block_px, source.anchor))
-
-    def classify(strip: list[Window]) -> tuple[NDArray[np.uint8], int]:
-        return _classify(source, extractor, _union(strip), mean, gain, offset)
-
+    windows = Windows(cells.settings, cells.pixel_m, cells.grid.step_px)
+    linear = model.linear_scores()
+    blocks_of = list(blocks(cells.shape, block_px, cells.anchor))
     counts = np.zeros(256, np.int64)
-    valid_pixels = done = 0
-    strips = list(_strips(windows))
-    with closing(_in_order(classify, strips, workers)) as results:
-        for strip, (classes, valid) in zip(strips, results, strict=True):
+    done = 0
+
+    def classify(window: Window) -> NDArray[np.uint8]:
+        return _classify(cells, windows, window, linear)
+
+    with closing(_in_order(classify, blocks_of, workers)) as results:
+        for window, classes in zip(blocks_of, results, strict=True):
             counts += count_classes(classes)
-            valid_pixels += valid
-            for window in strip:
-                left = window.col - strip[0].col
-                sink(window, np.ascontiguousarray(classes[:, left : left + window.width]))
-                done += 1
-                progress(done, len(windows))
+            sink(window, classes)
+            done += 1
+            progress(done, len(blocks_of))
     return SegmentStats(
         class_pixels=tuple(int(n) for n in counts[: model.classes]),
-        pixels=source.shape[0] * source.shape[1],
-        valid_pixels=valid_pixels,
+        pixels=cells.shape[0] * cells.shape[1],
+        valid_pixels=cells.valid_pixels,
     )
 
 
-def _strips(windows: list[Window]) -> Iterator[list[Window]]:
-    """Join neighbouring blocks of a row: the halo is shared, and long lines suit the kernels."""
-    strip: list[Window] = []
-    for window in windows:
-        if strip and (window.row != strip[0].row or _union([*strip, window]).width > STRIP_PX):
-            yield strip
-            strip = []
-        strip.append(window)
-    if strip:
-        yield strip
-
-
-def _union(strip: list[Window]) -> Window:
-    first, last = strip[0], strip[-1]
-    return Window(first.row, first.col, first.height, last.col + last.width - first.col)
+def halo_px(settings: FeatureSettings, pixel_m: tuple[float, float]) -> tuple[int, int]:
+    """Return how far from a pixel others can change its class, along rows and columns."""
+    gauge = Gauge(settings, pixel_m)
+    halo = Windows(settings, pixel_m, gauge.step_px).halo_cells
+    votes = halo_cells() if settings.discriminates else 0
+    rows, cols = ((gauge.reach_cells[axis] + halo[axis] + votes + 2) * gauge.step_px for axis in (0, 1))
+    return rows, cols
 
 
 def _in_order(work: Callable[[_Item], _Result], items: Iterable[_Item], workers: int) -> Generator[_Result]:
@@ -247,72 +232,40 @@ def _in_order(work: Callable[[_Item], _Result], items: Iterable[_Item], workers:
         pool.shutdown(wait=True, cancel_futures=True)
 
 
-def _draw_sample(source: ImageSource, extractor: Extractor, seed: int, workers: int, progress: Progress) -> Sample:
-    tiles = list(blocks(source.shape, SAMPLE_TILE_PX, source.anchor))
-    order = np.random.default_rng(seed).permutation(len(tiles))
-    quota = -(-MAX_SAMPLE // min(len(tiles), MAX_SAMPLE_TILES))
-
-    def measure(index: int) -> Sample | None:
-        return _measure(source, extractor, tiles[index], quota, np.random.default_rng([seed, index]))
-
-    parts: list[Sample] = []
-    wanted = min(len(tiles), MAX_SAMPLE_TILES)
-    with closing(_in_order(measure, (int(index) for index in order), workers)) as results:
-        for part in results:
-            if part is not None:
-                parts.append(part)
-                progress(len(parts), wanted)
-            if len(parts) == wanted:
-                break
-    if not parts:
-        raise ArgumentError("no valid pixel in the image (no patch of it is half valid): there is nothing to segment")
-    return Sample.joined(parts)
-
-
-def _measure(
-    source: ImageSource, extractor: Extractor, tile: Window, quota: int, rng: np.random.Generator
-) -> Sample | None:
+def _draw(cells: Cells, windows: Windows, tile: Window, quota: int, rng: np.random.Generator) -> Sample | None:
     """Draw up to `quota` patches of a tile; None where no patch is at least half valid."""
-    grid = CellGrid.covering(tile, source.anchor, extractor.step_px)
-    rgb, valid = source.read(extractor.read_window(grid, source.anchor))
-    halo_r, halo_c = extractor.halo_cells
-    step = extractor.step_px
-    if not valid[halo_r * step : -halo_r * step, halo_c * step : -halo_c * step].any():
-        return None
-    patches = extractor.patches(rgb, valid)
+    grid = CellGrid.covering(tile, cells.anchor, cells.grid.step_px)
+    patches = windows.patches(cells.read(grid.grown(*windows.halo_cells)))
     chosen = np.flatnonzero(patches.usable.ravel())
     if len(chosen) == 0:
         return None
-    if len(chosen) > quota:
+    tiles = []
+    if cells.settings.discriminates:
+        tiles = [Tile(windows.wide(cells.read(grid.grown(*windows.fit_halo_cells))), patches.usable)]
+    elif len(chosen) > quota:
         chosen = np.sort(rng.choice(chosen, quota, replace=False))
     channels = len(patches.values)
     return Sample(
         values=patches.values.reshape(channels, -1)[:, chosen].T.astype(np.float64),
         rgb=patches.rgb.reshape(3, -1)[:, chosen].T.astype(np.float64),
         roughness=patches.roughness.ravel()[chosen].astype(np.float64),
+        tiles=tiles,
     )
 
 
-def _classify(
-    source: ImageSource,
-    extractor: Extractor,
-    window: Window,
-    mean: NDArray[np.float32],
-    gain: NDArray[np.float32],
-    offset: NDArray[np.float32],
-) -> tuple[NDArray[np.uint8], int]:
-    """Return the classes of one block and its number of valid pixels."""
-    grid = CellGrid.covering(window, source.anchor, extractor.step_px).grown(1, 1)
-    tile = extractor.read_window(grid, source.anchor)
-    rgb, valid = source.read(tile)
-    top, left = window.row - tile.row, window.col - tile.col
-    inner = np.ascontiguousarray(valid[top : top + window.height, left : left + window.width])
-    count = int(np.count_nonzero(inner))
-    if count == 0:
-        return np.full(inner.shape, NODATA, np.uint8), 0
-    patches = extractor.patches(rgb, valid)
-    scores = cell_scores(patches.values, mean, gain, offset)
-    step = extractor.step_px
-    first_row = window.row + source.anchor[0] - grid.row * step
-    first_col = window.col + source.anchor[1] - grid.col * step
-    return label(scores, patches.defined, inner, step, first_row, first_col), count
+def _classify(cells: Cells, windows: Windows, window: Window, linear: tuple[F32, F32, F32]) -> NDArray[np.uint8]:
+    """Return the classes of one block."""
+    valid = cells.read_valid(window)
+    if not valid.any():
+        return np.full(valid.shape, NODATA, np.uint8)
+    # Labels are interpolated between cells, and where cells vote, more of them are asked.
+    beside = 1 + (halo_cells() if cells.settings.discriminates else 0)
+    grid = CellGrid.covering(window, cells.anchor, cells.grid.step_px).grown(beside, beside)
+    patches = windows.patches(cells.read(grid.grown(*windows.halo_cells)))
+    scores = cell_scores(patches.values, *linear)
+    if cells.settings.discriminates:
+        scores = vote(np.float32(TEMPERATURE / 2) * scores, patches.share)
+    step = grid.step_px
+    first_row = window.row + cells.anchor[0] - grid.row * step
+    first_col = window.col + cells.anchor[1] - grid.col * step
+    return label(scores, patches.defined, valid, step, first_row, first_col)

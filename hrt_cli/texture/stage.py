@@ -4,33 +4,64 @@ from __future__ import annotations
 
 import json
 import time
-from dataclasses import asdict, dataclass
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 from hrt_cli.artifacts.carriers import npz_provenance, publish_npz, read_stamped_npz
 from hrt_cli.artifacts.provenance import Provenance
-from hrt_cli.artifacts.stage import REFUSE, Existing, Job, ReadProvenance, begin
+from hrt_cli.artifacts.publish import output_error
+from hrt_cli.artifacts.stage import REFUSE, Existing, ReadProvenance, begin
 from hrt_cli.errors import ArgumentError, InputError, OutputError
 from hrt_cli.progress import Progress, silent
 from hrt_cli.raster.classes import publishing_classes
 from hrt_cli.raster.cog import cog_provenance
 from hrt_cli.raster.gate import open_raster
-from hrt_cli.raster.image import Image, open_image
+from hrt_cli.raster.image import Image, open_orthomosaic
+from hrt_cli.texture.cells import Cells, Filler, measured, rows_at_once
+from hrt_cli.texture.cluster import best, cluster, consider
+from hrt_cli.texture.grow import MIN_SHARE, grow, novel
 from hrt_cli.texture.model import TextureModel, describe
-from hrt_cli.texture.segment import SegmentSpec, SegmentStats, fit, predict
+from hrt_cli.texture.segment import SegmentSpec, SegmentStats, draw_sample, predict
 
 STAGE = "segment"
-STAGE_VERSION = 1
+STAGE_VERSION = 2
 
 
 @dataclass(frozen=True)
 class ImageOptions:
-    """How the orthomosaic is to be read; see `open_image`."""
+    """How the orthomosaic is to be read; see `open_orthomosaic`."""
 
     bands: tuple[int, ...] = ()
     nodata: float | None = None
     unreferenced: bool = False
+    aoi: Path | None = None
+
+
+@dataclass(frozen=True)
+class Found:
+    """What a segmentation tells beside the classes themselves.
+
+    Attributes
+    ----------
+    stats : SegmentStats
+        Pixels of each class, of the raster, and with data.
+    table : list of dict
+        A row a class: id, share in the sample, mean_rgb, roughness.
+    considered : dict of str to float
+        The criterion of every number of classes considered, where none was asked for.
+    novel_share : float or None
+        Share of the patches that lie far from every class of the model given.
+    grown : int
+        Classes that were added to the model given.
+    """
+
+    stats: SegmentStats
+    table: list[dict[str, object]]
+    considered: dict[str, float] = field(default_factory=dict)
+    novel_share: float | None = None
+    grown: int = 0
 
 
 @dataclass(frozen=True)
@@ -41,10 +72,7 @@ class Segmentation:
     ----------
     up_to_date : bool
         Nothing had to be done.
-    stats : SegmentStats
-        Pixels of each class, of the raster, and with data.
-    table : list of dict
-        A row a class: id, share in the sample, mean_rgb, roughness.
+    found : Found
     notes : list of str
         What the user ought to know about the orthomosaic.
     seconds : float
@@ -52,36 +80,74 @@ class Segmentation:
     """
 
     up_to_date: bool
-    stats: SegmentStats
-    table: list[dict[str, object]]
+    found: Found
     notes: list[str]
     seconds: float
 
 
+@dataclass(frozen=True)
+class Wanted:
+    """What is asked for: either a specification to fit, or a model of before.
+
+    Attributes
+    ----------
+    spec : SegmentSpec or None
+        What to fit.
+    model_path : Path or None
+        The model to apply.
+    grow : bool
+        Give what the model has never seen new classes after its own.
+    model_out : Path or None
+        Where to keep the model that was fitted or grown.
+    creation : dict of str to str
+        Options of the COG driver.
+    """
+
+    spec: SegmentSpec | None = None
+    model_path: Path | None = None
+    grow: bool = False
+    model_out: Path | None = None
+    creation: dict[str, str] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Work:
+    """How the work is cut up and who does it; nothing of it changes the result.
+
+    Attributes
+    ----------
+    block_px : int
+        Rows of pixels read, and side of the blocks classified, at once.
+    workers : int
+        Threads.
+    dask : str or None
+        Address of a Dask scheduler whose workers measure instead.
+    """
+
+    block_px: int = 1024
+    workers: int = 1
+    dask: str | None = None
+
+
 def segment_file(
-    ortho: Path,
+    paths: Sequence[Path],
     output: Path,
+    wanted: Wanted,
     *,
-    spec: SegmentSpec | None = None,
-    model_path: Path | None = None,
-    model_out: Path | None = None,
     image_options: ImageOptions = ImageOptions(),
-    creation: dict[str, str] | None = None,
-    block_px: int = 1024,
-    workers: int = 1,
+    work: Work = Work(),
     existing: Existing = REFUSE,
     progress: Progress = silent,
 ) -> Segmentation:
-    """Segment `ortho` into `output`, by a model fitted on it (`spec`) or by one of before (`model_path`).
+    """Segment an orthomosaic into `output`, by a model fitted on it or by one of before.
 
     Parameters
     ----------
-    spec : SegmentSpec, optional
-        What to fit; not together with `model_path`.
-    model_path, model_out : Path, optional
-        The model to apply; where to keep the model that was fitted.
-    block_px, workers : int
-        How the work is cut up; the result does not depend on it.
+    paths : sequence of Path
+        The orthomosaic: one raster, several, or a folder of tiles.
+    wanted : Wanted
+    image_options : ImageOptions
+    work : Work
 
     Raises
     ------
@@ -91,24 +157,27 @@ def segment_file(
         See `hrt_cli.artifacts.stage.begin`.
     """
     began = time.monotonic()
-    creation = creation or {}
+    model_out = wanted.model_out
     if model_out is not None and model_out.resolve() == output.resolve():
         raise OutputError(f"{output}: is named for two outputs; give the classes and the model different files")
-    with open_image(ortho, **asdict(image_options)) as image:
-        inputs = {**image.raster.sources(), **({"model": model_path} if model_path else {})}
-        parameters = _parameters(spec, image_options, creation)
+    for path in paths:
+        if path.is_dir() and output.resolve().parent == path.resolve():
+            raise OutputError(f"{output}: lies among the tiles of {path}, of which it would be one; write it elsewhere")
+    with open_orthomosaic(paths, **vars(image_options)) as image:
+        inputs = {**image.sources(), **({"model": wanted.model_path} if wanted.model_path else {})}
         outputs: dict[Path, ReadProvenance] = {
             output: cog_provenance,
             **({model_out: npz_provenance} if model_out else {}),
         }
+        parameters = _parameters(wanted, image_options)
         job = begin(STAGE, STAGE_VERSION, inputs=inputs, parameters=parameters, outputs=outputs, existing=existing)
         if job.up_to_date:
-            stats, table = _recall(output)
+            found = _recall(output)
         else:
-            stats, table = _compute(
-                image, output, spec, model_path, model_out, creation, block_px, workers, job, progress
-            )
-        return Segmentation(job.up_to_date, stats, table, image.raster.notes, time.monotonic() - began)
+            filler = _filler(image, paths, image_options, work)
+            found = _make(image, output, wanted, job.provenance, work, filler, progress)
+        notes = [*image.notes, *_novelty_notes(found)]
+        return Segmentation(job.up_to_date, found, notes, time.monotonic() - began)
 
 
 def read_model(path: Path) -> TextureModel:
@@ -126,64 +195,114 @@ def read_model(path: Path) -> TextureModel:
         raise InputError(path, f"is not a usable texture model: {error}") from error
 
 
-def _parameters(spec: SegmentSpec | None, image_options: ImageOptions, creation: dict[str, str]) -> dict[str, Any]:
-    fitted = json.loads(json.dumps(asdict(spec))) if spec else None
-    return {"fit": fitted, "image": json.loads(json.dumps(asdict(image_options))), "creation": creation}
+def _parameters(wanted: Wanted, image_options: ImageOptions) -> dict[str, Any]:
+    spec = json.loads(json.dumps(asdict(wanted.spec))) if wanted.spec else None
+    # The area of interest counts by its content, as an input.
+    image = json.loads(json.dumps(asdict(replace(image_options, aoi=None))))
+    return {"fit": spec, "image": image, "creation": wanted.creation, **({"grow": True} if wanted.grow else {})}
 
 
-def _compute(
+def _filler(image: Image, paths: Sequence[Path], options: ImageOptions, work: Work) -> Filler | None:
+    if work.dask is None:
+        return None
+    from hrt_cli.texture.distributed import Recipe, sweep_on
+
+    return sweep_on(work.dask, Recipe.of(image, list(paths), **vars(options)))
+
+
+def _make(
     image: Image,
     output: Path,
-    spec: SegmentSpec | None,
-    model_path: Path | None,
-    model_out: Path | None,
-    creation: dict[str, str],
-    block_px: int,
-    workers: int,
-    job: Job,
+    wanted: Wanted,
+    provenance: Provenance,
+    work: Work,
+    filler: Filler | None,
     progress: Progress,
-) -> tuple[SegmentStats, list[dict[str, object]]]:
+) -> Found:
+    asked: SegmentSpec | TextureModel = wanted.spec or read_model(_given(wanted.model_path))
+    rows_px = rows_at_once(work.block_px, image.block_shape[0])
     try:
-        if model_path is not None:
-            model = read_model(model_path)
-        elif spec is not None:
-            if not image.has_colours(spec.classes):
-                raise ArgumentError(f"holds fewer than {spec.classes} different colours, too few for as many classes")
-            model = fit(image, spec, workers=workers, progress=progress)
+        if isinstance(asked, SegmentSpec):
+            if not image.has_colours(asked.classes or 2):
+                raise ArgumentError(f"holds fewer than {asked.classes} different colours, too few for as many classes")
+            settings = asked.settings(image.pixel_m)
         else:
-            raise ValueError("either a spec or a model is needed")
-        stats = _write(image, output, model, creation, block_px, workers, job.provenance, progress)
+            settings = asked.settings
+        with measured(
+            image, settings, rows_px=rows_px, workers=work.workers, filler=filler, folder=output.parent,
+            progress=progress,
+        ) as cells:  # fmt: skip
+            if isinstance(asked, SegmentSpec):
+                model, extras = _fitted(cells, asked)
+            else:
+                model, extras = _applied(cells, asked, wanted.grow)
+            found = _write(image, cells, output, model, extras, wanted.creation, work, provenance, progress)
     except ArgumentError as error:
         raise InputError(image.raster.path, str(error)) from error
-    if model_out is not None:
-        publish_npz(model_out, model.to_arrays(), job.provenance)
-    return stats, describe(model)
+    except OSError as error:
+        raise output_error(output, error) from error
+    if wanted.model_out is not None:
+        publish_npz(wanted.model_out, model.to_arrays(), provenance)
+    return found
+
+
+def _given(path: Path | None) -> Path:
+    if path is None:
+        raise ValueError("either a specification or a model is needed")
+    return path
+
+
+def _fitted(cells: Cells, spec: SegmentSpec) -> tuple[TextureModel, dict[str, Any]]:
+    sample = draw_sample(cells, spec.seed)
+    considered = {} if spec.classes else consider(sample, cells.settings, spec.seed)
+    classes = spec.classes or best(considered)
+    model = cluster(sample, cells.settings, cells.pixel_m, classes, spec.seed)
+    return model, {"considered": {str(k): value for k, value in considered.items()}}
+
+
+def _applied(cells: Cells, model: TextureModel, growing: bool) -> tuple[TextureModel, dict[str, Any]]:
+    sample = draw_sample(cells, 0)
+    share = float(novel(model, sample).mean())
+    used = grow(model, sample, 0) if growing else model
+    return used, {"novel_share": share, "grown": used.classes - model.classes}
 
 
 def _write(
     image: Image,
+    cells: Cells,
     output: Path,
     model: TextureModel,
+    extras: dict[str, Any],
     creation: dict[str, str],
-    block_px: int,
-    workers: int,
+    work: Work,
     provenance: Provenance,
     progress: Progress,
-) -> SegmentStats:
+) -> Found:
     table = describe(model)
     names = [f"class {row['id']}" for row in table]
     with publishing_classes(output, image.grid, names, provenance, tags={"table": table}, creation=creation) as writer:
-        stats = predict(image, model, writer.write, block_px=block_px, workers=workers, progress=progress)
+        stats = predict(cells, model, writer.write, block_px=work.block_px, workers=work.workers, progress=progress)
         if not any(stats.class_pixels):
             raise InputError(image.raster.path, "has no patch that is at least half valid: nothing could be classified")
         writer.tags["stats"] = asdict(stats)
-    return stats
+        writer.tags["extras"] = extras
+    return Found(stats, table, **extras)
 
 
-def _recall(output: Path) -> tuple[SegmentStats, list[dict[str, object]]]:
+def _recall(output: Path) -> Found:
     """Read back from an up-to-date output what its making found."""
     with open_raster(output, unreferenced=True) as raster:
-        stats = json.loads(raster.hrt_tags["STATS"])
-        table: list[dict[str, object]] = json.loads(raster.hrt_tags["TABLE"])
+        stats, table, extras = (json.loads(raster.hrt_tags[name]) for name in ("STATS", "TABLE", "EXTRAS"))
     stats["class_pixels"] = tuple(stats["class_pixels"])
-    return SegmentStats(**stats), table
+    return Found(SegmentStats(**stats), table, **extras)
+
+
+def _novelty_notes(found: Found) -> list[str]:
+    if found.grown:
+        return [f"{found.novel_share:.1%} of its patches are unlike the model's classes: {found.grown} classes are new"]
+    if found.novel_share is not None and found.novel_share >= MIN_SHARE:
+        return [
+            f"{found.novel_share:.1%} of its patches are unlike every class of the model and take the nearest; "
+            "--grow makes classes of them"
+        ]
+    return []

@@ -12,10 +12,16 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as npst
 from numpy.typing import NDArray
 from rasterio.transform import from_origin
-from sklearn.metrics import adjusted_rand_score, normalized_mutual_info_score
+from sklearn.metrics import (
+    adjusted_rand_score,
+    jaccard_score,
+    normalized_mutual_info_score,
+    precision_score,
+    recall_score,
+)
 
 from hrt_cli.errors import InputError
-from hrt_cli.evaluation.segment import agreement, evaluate_segmentation
+from hrt_cli.evaluation.segment import TruthAgreement, agreement, evaluate_segmentation
 
 Ids = NDArray[np.uint8]
 
@@ -92,6 +98,50 @@ def test_a_renamed_truth_agrees_wholly(pair: tuple[Ids, Ids]) -> None:
     assert found.matching == {254 - t: t for t in sorted(set(truth.tolist()))}
 
 
+@settings(deadline=None)
+@given(labels)
+def test_each_truth_has_the_figures_of_scikit_learn(pair: tuple[Ids, Ids]) -> None:
+    classes, truth = pair
+    found = agreement(table_of(classes, truth))
+    renamed = np.array([found.matching.get(k, 255) for k in classes.tolist()])
+    votes = {k: np.bincount(truth[classes == k]).argmax() for k in found.class_ids}
+    voted = np.array([votes[k] for k in classes.tolist()])
+    assert [each.truth_id for each in found.per_class] == found.truth_ids
+    for each in found.per_class:
+        t = [each.truth_id]
+        assert each.pixels == np.sum(truth == t)
+        assert each.class_id == {v: k for k, v in found.matching.items()}.get(each.truth_id)
+        assert each.precision == pytest.approx(precision_score(truth, renamed, labels=t, average=None, zero_division=0))
+        assert each.recall == pytest.approx(recall_score(truth, renamed, labels=t, average=None)[0])
+        assert each.iou == pytest.approx(jaccard_score(truth, renamed, labels=t, average=None)[0])
+        assert each.vote_recall == pytest.approx(recall_score(truth, voted, labels=t, average=None)[0])
+    assert found.mean_iou == pytest.approx(np.mean([each.iou for each in found.per_class]))
+    assert found.vote_recall == pytest.approx(np.mean([each.vote_recall for each in found.per_class]))
+
+
+def test_each_truth_by_hand() -> None:
+    table = np.zeros((255, 255), np.int64)
+    table[:4, :3] = [[6, 1, 0], [0, 3, 0], [2, 0, 0], [0, 2, 0]]
+    found = agreement(table, ["grass", "road"])
+    assert found.per_class == [
+        TruthAgreement(0, "grass", 0, 8, 6 / 7, 6 / 8, 6 / 9, 1.0),
+        TruthAgreement(1, "road", 1, 6, 3 / 3, 3 / 6, 3 / 6, 5 / 6),
+    ]
+    assert found.mean_iou == pytest.approx((6 / 9 + 3 / 6) / 2)
+    assert found.vote_recall == pytest.approx((1 + 5 / 6) / 2)
+
+
+def test_a_truth_that_no_class_is_left_for_counts_zero() -> None:
+    table = np.zeros((255, 255), np.int64)
+    table[5, [2, 9]] = [7, 3]
+    found = agreement(table, ["a", "b", "c"])
+    assert found.per_class == [
+        TruthAgreement(2, "c", 5, 7, 0.7, 1.0, 0.7, 1.0),
+        TruthAgreement(9, None, None, 3, 0.0, 0.0, 0.0, 0.0),
+    ]
+    assert found.mean_iou == pytest.approx(0.35)
+
+
 def test_the_counts_of_a_huge_raster_do_not_overflow() -> None:
     small = table_of(np.array([0, 0, 0, 1, 1, 2], np.uint8), np.array([0, 0, 1, 1, 1, 0], np.uint8))
     huge, larger = agreement(small * 10**12), agreement(small * 10**9)
@@ -129,7 +179,8 @@ def raster(path: Path, ids: Ids, *, east: float = 500_000.0, crs: str = "EPSG:32
 def test_only_pixels_where_both_have_a_class_count(tmp_path: Path) -> None:
     classes = np.array([[0, 0, 1, 1], [0, 255, 1, 255]], np.uint8)
     truth = np.array([[3, 3, 3, 5], [255, 3, 5, 255]], np.uint8)
-    found = evaluate_segmentation(raster(tmp_path / "a.tif", classes), raster(tmp_path / "b.tif", truth, nodata=None))
+    first, second = raster(tmp_path / "a.tif", classes), raster(tmp_path / "b.tif", truth, nodata=None)
+    found = evaluate_segmentation(first, second).areas
     assert found.confusion.tolist() == [[2, 0], [1, 2]]
     assert (found.class_ids, found.truth_ids) == ([0, 1], [3, 5])
     assert found.accuracy == pytest.approx(0.8)
@@ -139,7 +190,7 @@ def test_only_pixels_where_both_have_a_class_count(tmp_path: Path) -> None:
 def test_a_raster_of_more_than_one_block_is_counted_whole(tmp_path: Path) -> None:
     rng = np.random.default_rng(0)
     classes, truth = rng.integers(0, 3, (2, 30, 2100), np.uint8)
-    found = evaluate_segmentation(raster(tmp_path / "a.tif", classes), raster(tmp_path / "b.tif", truth))
+    found = evaluate_segmentation(raster(tmp_path / "a.tif", classes), raster(tmp_path / "b.tif", truth)).areas
     assert found.confusion.sum() == classes.size
     assert found.ari == pytest.approx(adjusted_rand_score(truth.ravel(), classes.ravel()), abs=1e-12)
     assert math.isclose(found.nmi, normalized_mutual_info_score(truth.ravel(), classes.ravel()), abs_tol=1e-12)

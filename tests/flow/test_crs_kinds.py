@@ -18,7 +18,7 @@ from hrt_cli.missions.stage import export_file
 from hrt_cli.planning.request import parse_budget, parse_start
 from hrt_cli.planning.stage import PlanRequest, plan_file
 from hrt_cli.texture.segment import SegmentSpec
-from hrt_cli.texture.stage import segment_file
+from hrt_cli.texture.stage import Wanted, segment_file
 
 ORTHO = Path(__file__).parents[2] / "fixtures" / "meadow" / "ortho.tif"
 DEGREE = 0.1 / 111_320
@@ -50,7 +50,7 @@ def put(path: Path, crs: str, transform: Affine) -> Path:
 
 def plan_on(ortho: Path, folder: Path) -> Path:
     classes, scoremap, plan = folder / "c.tif", folder / "s.tif", folder / "p.json"
-    segment_file(ortho, classes, spec=SegmentSpec(4))
+    segment_file([ortho], classes, Wanted(SegmentSpec(4)))
     make_scoremap(classes, scoremap)
     request = PlanRequest(parse_start("auto"), parse_budget(f"{BUDGET}m"), effort=0.1)
     plan_file(scoremap, plan, request)

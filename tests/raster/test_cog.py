@@ -384,9 +384,9 @@ def test_a_full_disk_leaves_the_old_file_and_nothing_else(tmp_path: Path) -> Non
     if not unshare or subprocess.run([unshare, "-rm", *trial], capture_output=True, check=False).returncode:
         pytest.skip("file systems cannot be mounted here")
     publish(tmp_path / "whole.tif", "classes", 1024, 1024, 100)
-    # The working file and the finished one lie there together: beyond 2.8 times the output there is room.
-    output = (tmp_path / "whole.tif").stat().st_size // 1024
-    sizes = [8, 40, 100, *(int(output * share) for share in np.linspace(0.6, 2.8, 12))]
+    # The uncompressed working file with its overviews and the finished file lie there together.
+    needed = (1024 * 1024 * 4 // 3 + (tmp_path / "whole.tif").stat().st_size) // 1024
+    sizes = [8, 40, 100, *(int(needed * share) for share in np.linspace(0.3, 1.15, 12))]
     here = Path(__file__).parent
     done = subprocess.run(
         [unshare, "-rm", sys.executable, "-c", SWEEP, folder, *map(str, sizes)],

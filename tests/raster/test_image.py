@@ -12,7 +12,7 @@ from raster_files import RGB, RGBA, cut, patches, write_raster
 from rasterio.enums import ColorInterp
 
 from hrt_cli.errors import ArgumentError, InputError
-from hrt_cli.raster.image import open_image
+from hrt_cli.raster.image import Stretch, open_image
 from hrt_cli.raster.windows import Window, blocks
 
 WHOLE = Window(0, 0, 96, 96)
@@ -22,7 +22,7 @@ LEFT[:, :24] = True
 
 def read(path: Path, **options: Any) -> tuple[np.ndarray, np.ndarray, list[str]]:
     with open_image(path, **options) as image:
-        return *image.read(Window(0, 0, *image.shape)), image.raster.notes
+        return *image.read(Window(0, 0, *image.shape)), image.notes
 
 
 def as_rgb(pixels: np.ndarray) -> np.ndarray:
@@ -129,6 +129,43 @@ def test_a_palette_is_looked_up(tmp_path: Path) -> None:
     np.testing.assert_array_equal(rgb, table[indices])
 
 
+@pytest.mark.parametrize(("dtype", "index"), [(np.uint8, 200), (np.uint16, 60_000)])
+def test_a_palette_reaches_as_far_as_its_type(tmp_path: Path, dtype: type, index: int) -> None:
+    indices = np.where(LEFT, index, 1).astype(dtype)
+    path = write_raster(tmp_path / "a.tif", indices, palette={index: (10, 20, 30, 255), 1: (200, 0, 0, 255)})
+    rgb, _, notes = read(path)
+    np.testing.assert_array_equal(rgb, np.where(LEFT[..., None], [10, 20, 30], [200, 0, 0]))
+    assert notes == []
+
+
+@pytest.mark.parametrize(
+    "window", [WHOLE, Window(3, 5, 40, 7), Window(-10, 90, 30, 20), Window(90, -5, 20, 9), Window(200, 0, 5, 6)]
+)
+@pytest.mark.parametrize("kind", ["plain", "nodata", "alpha", "mask", "grey", "16 bits", "real"])
+def test_planes_are_what_is_read_turned_round(tmp_path: Path, kind: str, window: Window) -> None:
+    pixels, options = patches(), {}
+    if kind == "nodata":
+        pixels[:, 20:40] = 0
+        options = {"nodata": 0}
+    elif kind == "alpha":
+        pixels, options = with_alpha(pixels, 255), {"colours": RGBA}
+    elif kind == "mask":
+        options = {"mask": ~LEFT}
+    elif kind == "grey":
+        pixels = pixels[:1]
+    elif kind != "plain":
+        pixels = pixels.astype(np.uint16 if kind == "16 bits" else np.float32)
+    with open_image(write_raster(tmp_path / "a.tif", pixels, **options)) as image:
+        planes, valid = image.read_planes(window)
+        rgb, valid_too = image.read(window)
+    assert (planes.dtype, planes.shape, valid.shape) == (np.uint8, (3, window.height, window.width), valid_too.shape)
+    assert planes.flags.c_contiguous or kind == "grey"
+    assert all(plane.flags.c_contiguous for plane in planes)
+    assert rgb.flags.c_contiguous
+    np.testing.assert_array_equal(np.moveaxis(planes, 0, -1), rgb)
+    np.testing.assert_array_equal(valid, valid_too)
+
+
 class TestNodata:
     def test_a_pixel_is_nodata_where_every_band_is(self, tmp_path: Path) -> None:
         pixels = patches()
@@ -180,7 +217,7 @@ class TestNodata:
         assert path.with_name("a.tif.msk").exists()
         np.testing.assert_array_equal(read(path)[1], ~LEFT)
         with open_image(path) as image:
-            assert set(image.raster.sources().values()) == {path, path.with_name("a.tif.msk")}
+            assert image.sources() == {"raster": path, "raster/0": path.with_name("a.tif.msk")}
 
     def test_a_stale_mask_that_hides_all_is_named(self, tmp_path: Path) -> None:
         old = write_raster(tmp_path / "old.tif", patches(), mask=np.zeros((96, 96), bool), internal_mask=False)
@@ -235,6 +272,16 @@ class TestStretch:
         with open_image(path) as image:
             for window in blocks(image.shape, 37):
                 np.testing.assert_array_equal(image.read(window)[0], whole[window.slices])
+
+    @pytest.mark.parametrize("dtype", ["uint16", "int16"])
+    def test_sixteen_bits_are_looked_up_as_they_are_computed(self, dtype: str) -> None:
+        limits = np.iinfo(dtype)
+        values = np.arange(limits.min, limits.max + 1, dtype=dtype).reshape(256, 256)
+        found = Stretch(limits.min + 700.5, limits.max - 9000.25).apply(values)
+        low, high = limits.min + 700.5, limits.max - 9000.25
+        expected = np.clip((values.astype(float) - low) * 255 / (high - low), 0, 255)
+        assert np.abs(found - expected).max() <= 0.5 + 1e-3
+        np.testing.assert_array_equal(Stretch(low, high).apply(values[::2, ::3]), found[::2, ::3])
 
     def test_nodata_has_no_part_in_it(self, tmp_path: Path) -> None:
         pixels = patches().astype(np.float32)
@@ -308,9 +355,6 @@ def test_threads_read_what_one_reads(tmp_path: Path) -> None:
         for (rgb_a, valid_a), (rgb_b, valid_b) in zip(alone, together, strict=True):
             np.testing.assert_array_equal(rgb_a, rgb_b)
             np.testing.assert_array_equal(valid_a, valid_b)
-        datasets = image.raster._open
-        assert len(datasets) <= 5
-    assert all(dataset.closed for dataset in datasets)
 
 
 @pytest.mark.parametrize(("rows", "cols", "max_px"), [(96, 96, 200), (1021, 300, 100), (700, 1000, 333), (5, 1200, 90)])

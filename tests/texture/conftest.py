@@ -8,6 +8,10 @@ import pytest
 from numpy.typing import NDArray
 
 from hrt_cli.raster.windows import Window
+from hrt_cli.texture.cells import measured
+from hrt_cli.texture.cluster import cluster
+from hrt_cli.texture.model import TextureModel
+from hrt_cli.texture.segment import SegmentSpec, SegmentStats, draw_sample, predict
 
 DATA = Path(__file__).parents[2].parent / "shared" / "data"
 
@@ -26,7 +30,7 @@ class ArraySource:
     def shape(self) -> tuple[int, int]:
         return self.rgb.shape[:2]
 
-    def read(self, window: Window) -> tuple[NDArray[np.uint8], NDArray[np.bool_]]:
+    def read_planes(self, window: Window) -> tuple[NDArray[np.uint8], NDArray[np.bool_]]:
         self.windows.append(window)
         rgb = np.full((window.height, window.width, 3), (255, 0, 200), np.uint8)
         valid = np.zeros((window.height, window.width), bool)
@@ -36,7 +40,30 @@ class ArraySource:
             place = (slice(top, top + inside.height), slice(left, left + inside.width))
             rgb[place] = self.rgb[inside.slices]
             valid[place] = True if self.valid is None else self.valid[inside.slices]
-        return rgb, valid
+        return np.ascontiguousarray(np.moveaxis(rgb, -1, 0)), valid
+
+    def model(self, spec: SegmentSpec, **options: int) -> TextureModel:
+        """Fit a model on it."""
+        with measured(self, spec.settings(self.pixel_m), **options) as cells:
+            assert spec.classes is not None
+            sample = draw_sample(cells, spec.seed)
+            return cluster(sample, cells.settings, cells.pixel_m, spec.classes, spec.seed)
+
+    def classes(self, model: TextureModel, **options: int) -> tuple[NDArray[np.uint8], SegmentStats]:
+        """Classify it; checks the order and the shapes of the blocks."""
+        out = np.full(self.shape, 77, np.uint8)
+        seen: list[tuple[int, int]] = []
+
+        def sink(window: Window, classes: NDArray[np.uint8]) -> None:
+            assert classes.shape == (window.height, window.width)
+            seen.append((window.row, window.col))
+            out[window.slices] = classes
+
+        rows_px = options.pop("rows_px", 1024)
+        with measured(self, model.settings, rows_px=rows_px, workers=options.get("workers", 1)) as cells:
+            stats = predict(cells, model, sink, **options)
+        assert seen == sorted(seen)
+        return out, stats
 
 
 def patchwork(rows: int, cols: int, seed: int = 0) -> NDArray[np.uint8]:

@@ -1,38 +1,16 @@
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from gabor_reference import photograph, reference
 from numpy.typing import NDArray
-from scipy.ndimage import uniform_filter
-from scipy.signal import fftconvolve
+from scipy.ndimage import gaussian_filter, uniform_filter
 
 from hrt_cli.texture.bank import HALVING_TAPS, Filters, GaborBank, amplitudes, columns_apart, halve
 
 F64 = NDArray[np.float64]
-
-
-def full_kernel(
-    wavelength_m: float, theta: float, pixel_m: tuple[float, float], ratio: float
-) -> NDArray[np.complex128]:
-    """The two-dimensional Gabor filter in float64, cut at 3 sigma, its envelope summing to 1, without DC."""
-    reach = [int(np.ceil(3 * ratio * wavelength_m / d)) for d in pixel_m]
-    y, x = np.mgrid[-reach[0] : reach[0] + 1, -reach[1] : reach[1] + 1].astype(np.float64)
-    y, x = y * pixel_m[0], x * pixel_m[1]
-    envelope = np.exp(-0.5 * (x**2 + y**2) / (ratio * wavelength_m) ** 2)
-    envelope /= envelope.sum()
-    wave = np.exp(2j * np.pi * (x * np.cos(theta) + y * np.sin(theta)) / wavelength_m)
-    kernel: NDArray[np.complex128] = envelope * wave - envelope * (envelope * wave).sum().real
-    return kernel
-
-
-def reference(image: F64, wavelength_m: float, orientations: int, pixel_m: tuple[float, float]) -> F64:
-    """Amplitude at every pixel, [orientations, rows, cols]."""
-    return np.stack(
-        [
-            np.abs(fftconvolve(image, full_kernel(wavelength_m, np.pi * n / orientations, pixel_m, 0.56), mode="same"))
-            for n in range(orientations)
-        ]
-    )
 
 
 def answers(
@@ -73,11 +51,7 @@ def test_pixels_that_are_not_square() -> None:
     ("wavelength_px", "level", "correlation"), [(8.0, 1, 0.985), (16.0, 2, 0.997), (32.0, 2, 0.997)]
 )
 def test_the_pyramid_agrees_with_the_full_kernel(wavelength_px: float, level: int, correlation: float) -> None:
-    # Amplitudes fall with frequency, as in photographs.
-    frequency = np.hypot(*np.meshgrid(np.fft.fftfreq(512), np.fft.fftfreq(512)))
-    spectrum = np.fft.fft2(np.random.default_rng(3).normal(size=(512, 512))) / np.maximum(frequency, 1 / 512)
-    image = np.fft.ifft2(spectrum).real
-    image /= image.std()
+    image = photograph(512, 3)
     bank = GaborBank((wavelength_px,), 6)
     (one,) = bank.filters((1.0, 1.0), 4)
     assert one.level == level
@@ -91,6 +65,29 @@ def test_the_pyramid_agrees_with_the_full_kernel(wavelength_px: float, level: in
         patches = [uniform_filter(cells_of, 6)[::6, ::6].ravel() for cells_of in (one_got, one_expected)]
         assert np.corrcoef(*patches)[0, 1] > correlation
         assert one_got.mean() == pytest.approx(one_expected.mean(), rel=0.03)
+
+
+@pytest.mark.parametrize(
+    ("wavelength_px", "samples", "of_all", "of_one"),
+    [(4.0, 2, 0.008, 0.015), (5.7, 2, 0.007, 0.014), (8.0, 2, 0.006, 0.011), (16.0, 1, 0.015, 0.03)],
+)
+def test_sparse_sampling_of_cells_is_enough(wavelength_px: float, samples: int, of_all: float, of_one: float) -> None:
+    """Root mean squares of the change, in the window of a site's texture, against the mean over all pixels."""
+    side, margin = 8, 16
+    (one,) = GaborBank((wavelength_px,), 6).filters((1.0, 1.0), side)
+    per_cell = side >> one.level
+    assert per_cell // one.stride == samples
+    level = columns_apart((0.2 * photograph(1024, 5)).astype(np.float32))
+    for _ in range(one.level):
+        level = halve(level)
+    few, every = (np.empty((6, 96, 96), np.float32) for _ in range(2))
+    for filters, out in [(one, few), (replace(one, stride=1), every)]:
+        amplitudes(level, filters, (margin * per_cell,) * 2, per_cell, out)
+    # What the edge of the lattice mirrors would count twice.
+    few, every = (np.stack([gaussian_filter(cells, 2)[8:-8, 8:-8] for cells in found]) for found in (few, every))
+    assert few.mean() == pytest.approx(every.mean(), rel=2e-3)
+    assert np.sqrt(np.mean((few.mean(axis=0) / every.mean(axis=0) - 1) ** 2)) < of_all
+    assert np.sqrt(np.mean((few / every - 1) ** 2)) < of_one
 
 
 @pytest.mark.parametrize("wavelength_px", [4.0, 5.7, 8.0, 16.0, 32.0, 64.0])

@@ -21,7 +21,9 @@ def test_cell_means_count_valid_pixels_only() -> None:
     rgb = rng.integers(0, 256, (12, 16, 3)).astype(np.uint8)
     valid = rng.random((12, 16)) < 0.5
     valid[:4, :4] = False
-    mean, share = cell_means(rgb, valid, 4)
+    padded = np.pad(rgb, ((2, 0), (3, 0), (0, 0)), constant_values=99)
+    planes = np.ascontiguousarray(np.moveaxis(padded, -1, 0))
+    mean, share = cell_means(planes, np.pad(valid, ((2, 0), (3, 0)), constant_values=True), (2, 3), (3, 4), 4)
     assert share[0, 0] == 0
     assert not mean[:, 0, 0].any()
     for i in range(3):

@@ -8,12 +8,12 @@ import pytest
 from conftest import ArraySource
 
 from hrt_cli.texture.model import TextureModel
-from hrt_cli.texture.segment import SegmentSpec, fit
+from hrt_cli.texture.segment import SegmentSpec
 
 
 @pytest.fixture
 def model(site: ArraySource) -> TextureModel:
-    return fit(site, SegmentSpec(3, features="paper", rotation="aware"))
+    return site.model(SegmentSpec(3, features="paper", rotation="aware"))
 
 
 def test_arrays_come_back_as_the_same_model(model: TextureModel) -> None:
@@ -42,8 +42,11 @@ Change = Callable[[dict[str, Any]], Any]
     ("change", "message"),
     [
         (lambda a: a.pop("centroids"), "missing"),
-        (lambda a: a.update(version=np.array(2)), "later"),
+        (lambda a: a.update(version=np.array(3)), "update hrt"),
+        (lambda a: a.update(version=np.array(1)), "fit it again"),
         (lambda a: a.update(version=np.array(0)), "outside"),
+        (lambda a: a.pop("radius"), "missing"),
+        (lambda a: a.update(scale_invariant=np.array(2)), "outside"),
         (lambda a: a.update(version=np.array(1.0)), "integer"),
         (lambda a: a.update(features=np.array("nose")), "nose"),
         (lambda a: a.update(features=np.array(3)), "string"),

@@ -1,0 +1,380 @@
+"""The colour bands of an orthomosaic and where they are valid, from one raster or from tiles that lie on one lattice.
+
+Tiles are taken in the order of their names, whatever the order in which they were given: the first lends the lattice,
+and where tiles overlap, the first whose pixel is valid wins.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+from affine import Affine
+from numpy.typing import NDArray
+from rasterio.enums import ColorInterp
+
+from hrt_cli.errors import ArgumentError, InputError
+from hrt_cli.raster.gate import DatasetPool, Raster, is_nodata, load_raster
+from hrt_cli.raster.grid import Grid, require_measurable
+from hrt_cli.raster.windows import Window
+
+MAX_OPEN = 32
+"""Files of a mosaic that a thread keeps open."""
+_SAME_SIZE = 1e-6
+_SAME_LATTICE_PX = 0.01
+_MAX_SPREAD = 1000
+_TILES = (".tif", ".tiff", ".jp2", ".img")
+_PLAIN_TILES = (".png", ".jpg", ".jpeg")
+"""Previews where there are GeoTIFFs; else tiles that a side-car places."""
+_SIDE_CARS = (
+    *(".ovr", ".msk", ".xml", ".aux", ".rrd", ".ige", ".qml", ".qmd", ".sld", ".clr", ".prj", ".wkt", ".txt", ".csv"),
+    *(".tfw", ".tifw", ".tiffw", ".j2w", ".jp2w", ".igw", ".pgw", ".pngw", ".jgw", ".jpgw", ".jpegw", ".wld"),
+    *(".json", ".geojson", ".gpkg", ".kml", ".kmz", ".shp", ".shx", ".dbf", ".cpg", ".pdf", ".html", ".md", ".md5"),
+)
+_NAMED_AT_MOST = 3
+
+Colours = NDArray[Any]
+Valid = NDArray[np.bool_] | None
+"""Where pixels are valid [height, width]; None stands for everywhere."""
+
+
+class Layer(Protocol):
+    """The colour bands of an orthomosaic in the file's own type: one raster (`Single`) or several (`Mosaic`).
+
+    Attributes
+    ----------
+    path : Path
+        What messages name.
+    grid : Grid
+    bands : list of int
+        The 1-based bands taken as red, green, blue, or one band taken as grey.
+    alpha : int or None
+        The 1-based band declared as alpha.
+    dtype : str
+        The type of the pixels.
+    palette : uint8 [values, 3] or None
+        The colours that the values of a paletted band stand for.
+    block_shape : (int, int)
+        Rows and columns of the blocks in which the pixels are stored.
+    notes : list of str
+        What the user ought to know though it was no reason to refuse.
+    """
+
+    path: Path
+    grid: Grid
+    bands: list[int]
+    alpha: int | None
+    dtype: str
+    palette: NDArray[np.uint8] | None
+    block_shape: tuple[int, int]
+    notes: list[str]
+
+    def read(self, window: Window) -> tuple[Colours, Valid]:
+        """Read `(colours [band, height, width], valid)` in a window inside the grid; safe from several threads."""
+        ...
+
+    def sources(self) -> dict[str, Path]:
+        """Return the files that pixels and validity come from, by role, for provenance."""
+        ...
+
+
+class Single:
+    """One raster as a `Layer`."""
+
+    def __init__(self, raster: Raster, bands: tuple[int, ...]) -> None:
+        self._raster = raster
+        self.path = raster.path
+        self.grid = raster.grid
+        self.notes = raster.notes
+        self.bands = _choose_bands(raster, bands)
+        alphas = [i + 1 for i, colour in enumerate(raster.colours) if colour == ColorInterp.alpha]
+        self.alpha: int | None = alphas[-1] if alphas and alphas[-1] not in self.bands else None
+        self.dtype = raster.dtypes[self.bands[0] - 1]
+        self.palette = raster.palette
+        self.block_shape = raster.block_shape
+
+    def read(self, window: Window) -> tuple[Colours, Valid]:
+        """See `Layer`."""
+        # The alpha band is read as data: GDAL's own mask calls every pixel of a 16-bit or real ODM file valid.
+        wanted = [*self.bands, self.alpha] if self.alpha else self.bands
+        values = self._raster.read_bands(wanted, window)
+        colours = values[: len(self.bands)]
+        found = [_having_data(colours, [self._raster.nodata[band - 1] for band in self.bands])]
+        if self.alpha:
+            found.append(values[-1] > 0)
+        elif self._raster.has_mask:
+            found.append(self._raster.read_mask(window))
+        valid: Valid = None
+        for one in found:
+            valid = one if valid is None else valid if one is None else valid & one
+        return colours, valid
+
+    def sources(self) -> dict[str, Path]:
+        """See `Layer`."""
+        return self._raster.sources()
+
+    def require_like(self, other: Single) -> None:
+        """Refuse a tile whose pixels do not mean what another's do.
+
+        Raises
+        ------
+        InputError
+            The number, types, meaning or colour table of the bands differ.
+        """
+        mine, its = self._raster, other._raster
+        beside = f"does not go with {other.path}"
+        if mine.count != its.count:
+            raise InputError(self.path, f"{beside}: it has {mine.count} bands, not {its.count}")
+        if mine.dtypes != its.dtypes:
+            raise InputError(self.path, f"{beside}: its pixels are {mine.dtypes[0]}, not {its.dtypes[0]}")
+        if mine.colours != its.colours:
+            found, wanted = (", ".join(c.name for c in raster.colours) for raster in (mine, its))
+            raise InputError(self.path, f"{beside}: its bands are {found}, not {wanted}")
+        if self.palette is not None and (other.palette is None or (self.palette != other.palette).any()):
+            raise InputError(self.path, f"{beside}: its colour table differs", "expand both to RGB")
+
+
+class Mosaic:
+    """Several rasters on one lattice as a `Layer`.
+
+    Parameters
+    ----------
+    tiles : list of Single
+        By priority.
+    path : Path
+        What messages name.
+
+    Raises
+    ------
+    InputError
+        The tiles do not go together, or lie too far apart.
+    """
+
+    def __init__(self, tiles: list[Single], path: Path) -> None:
+        first = tiles[0]
+        for tile in tiles[1:]:
+            tile.require_like(first)
+        self.path = path
+        self.grid, self._origins = _union(path, [tile.path for tile in tiles], [tile.grid for tile in tiles])
+        self._ends = self._origins + np.array([tile.grid.shape for tile in tiles])
+        self._tiles = tiles
+        self.bands, self.alpha, self.dtype, self.palette = first.bands, first.alpha, first.dtype, first.palette
+        self.block_shape = first.block_shape
+        self.notes = list(dict.fromkeys(note for tile in tiles for note in tile.notes))
+
+    def read(self, window: Window) -> tuple[Colours, Valid]:
+        """See `Layer`."""
+        start = np.array([window.row, window.col])
+        end = np.array([window.row + window.height, window.col + window.width])
+        touching = np.flatnonzero(((self._origins < end) & (self._ends > start)).all(axis=1))
+        if len(touching) == 1 and (self._origins[touching] <= start).all() and (self._ends[touching] >= end).all():
+            return self._read_tile(int(touching[0]), window)
+        colours = np.zeros((len(self.bands), window.height, window.width), self.dtype)
+        valid = np.zeros((window.height, window.width), np.bool_)
+        for index in touching:
+            top, left = (int(edge) for edge in np.maximum(self._origins[index], start))
+            bottom, right = (int(edge) for edge in np.minimum(self._ends[index], end))
+            there = Window(top - window.row, left - window.col, bottom - top, right - left).slices
+            wanted = ~valid[there]
+            if not wanted.any():
+                continue
+            values, good = self._read_tile(int(index), Window(top, left, bottom - top, right - left))
+            if good is not None:
+                wanted &= good
+            if wanted.all():
+                colours[:, *there] = values
+            else:
+                np.copyto(colours[:, *there], values, where=wanted)
+            valid[there] |= wanted
+        return colours, valid
+
+    def sources(self) -> dict[str, Path]:
+        """See `Layer`: each tile under its place in the order, its own parts under that."""
+        digits = len(str(len(self._tiles) - 1))
+        return {
+            role.replace("raster", f"raster/{index:0{digits}d}", 1): path
+            for index, tile in enumerate(self._tiles)
+            for role, path in tile.sources().items()
+        }
+
+    def _read_tile(self, index: int, window: Window) -> tuple[Colours, Valid]:
+        row, col = (int(edge) for edge in self._origins[index])
+        return self._tiles[index].read(Window(window.row - row, window.col - col, window.height, window.width))
+
+
+@dataclass
+class _Choice:
+    """Which files are meant, in the order of their names, and what was left out."""
+
+    files: list[Path] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
+
+
+@contextmanager
+def open_layer(
+    paths: Sequence[Path], *, bands: tuple[int, ...], nodata: float | None, unreferenced: bool
+) -> Iterator[Layer]:
+    """Open one raster, several, or the rasters of folders through the gate.
+
+    Parameters
+    ----------
+    paths : sequence of Path
+        Files and folders of tiles; their order has no meaning.
+    bands, nodata, unreferenced
+        As in `hrt_cli.raster.image.open_orthomosaic`.
+
+    Raises
+    ------
+    InputError
+        A file is no raster that the gate lets through, a folder holds none, a file is given twice, or the rasters
+        do not lie on one lattice with the same bands.
+    """
+    choice = _choose_files(paths)
+    if unreferenced and len(choice.files) > 1:
+        raise InputError(
+            choice.files[1], f"has no place beside {choice.files[0]}: --unreferenced takes one plain image"
+        )
+    with DatasetPool(min(len(choice.files), MAX_OPEN)) as pool:
+        rasters = [load_raster(path, pool, nodata=nodata, unreferenced=unreferenced) for path in choice.files]
+        tiles = [Single(raster, bands) for raster in rasters]
+        layer: Layer = tiles[0] if len(tiles) == 1 else Mosaic(tiles, paths[0] if len(paths) == 1 else tiles[0].path)
+        layer.notes.extend(choice.notes)
+        yield layer
+
+
+def _choose_files(paths: Sequence[Path]) -> _Choice:
+    """List the files that are meant, sorted by name."""
+    if not paths:
+        raise ArgumentError("no orthomosaic is named")
+    choice = _Choice()
+    for path in paths:
+        if path.is_dir():
+            _choose_in_folder(path, choice)
+        else:
+            choice.files.append(path)
+    choice.files.sort(key=lambda path: (path.name, path.absolute().as_posix()))
+    seen: dict[tuple[int, int], Path] = {}
+    for path in choice.files:
+        if not path.is_file():
+            raise InputError(path, "no such file")
+        status = path.stat()
+        identity = status.st_dev, status.st_ino
+        if identity in seen:
+            raise InputError(path, f"is the same file as {seen[identity]}: give it once")
+        seen[identity] = path
+    choice.notes.sort()
+    return choice
+
+
+def _choose_in_folder(folder: Path, choice: _Choice) -> None:
+    try:
+        inside = sorted(path for path in folder.iterdir() if not path.name.startswith("."))
+    except OSError as error:
+        raise InputError(folder, f"cannot be read: {error.strerror or error}") from error
+    files = [path for path in inside if path.is_file()]
+    tiles = [path for path in files if path.suffix.lower() in _TILES]
+    plain = [path for path in files if path.suffix.lower() in _PLAIN_TILES]
+    if not tiles:
+        tiles, plain = plain, []
+    if not tiles:
+        vrts = [path for path in files if path.suffix.lower() == ".vrt"]
+        remedy = f"name {vrts[0]} itself" if vrts else f"tiles end in {', '.join(_TILES + _PLAIN_TILES)}"
+        raise InputError(folder, "is a folder without rasters", remedy)
+    stems = {path.stem for path in tiles}
+    expected = {*tiles, *(path for path in plain if path.stem in stems)}
+    unused = [path.name for path in inside if path not in expected and path.suffix.lower() not in _SIDE_CARS]
+    if unused:
+        more = f" and {len(unused) - _NAMED_AT_MOST} more" if len(unused) > _NAMED_AT_MOST else ""
+        choice.notes.append(f"not used of the folder {folder.name}: {', '.join(unused[:_NAMED_AT_MOST])}{more}")
+    choice.files.extend(tiles)
+
+
+def _union(path: Path, paths: list[Path], grids: list[Grid]) -> tuple[Grid, NDArray[np.int64]]:
+    """Return the smallest grid that holds all the tiles, and the first pixel (row, col) of each in it [n, 2]."""
+    lattice = grids[0]
+    origins = np.array([_place(path, grid, paths[0], lattice) for path, grid in zip(paths, grids, strict=True)])
+    shapes = np.array([grid.shape for grid in grids])
+    first = origins.min(axis=0)
+    rows, cols = (int(n) for n in (origins + shapes).max(axis=0) - first)
+    if rows * cols > _MAX_SPREAD * int(shapes.prod(axis=1).sum()):
+        far = int(np.abs(origins - np.median(origins, axis=0)).max(axis=1).argmax())
+        raise InputError(
+            paths[far],
+            f"lies far from the other rasters: together they span {rows} x {cols} pixels, nearly all of them empty",
+            "leave it out, or segment the sites one by one",
+        )
+    at_corner = np.flatnonzero((origins == first).all(axis=1))
+    # The corner tile's own transform is what one raster cut into these tiles would have, to the last bit.
+    corner = grids[at_corner[0]].transform if len(at_corner) else None
+    row, col = (int(n) for n in first)
+    union = Grid(rows, cols, corner or lattice.transform @ Affine.translation(col, row), lattice.crs)
+    require_measurable(path, union)
+    return union, origins - first
+
+
+def _place(path: Path, grid: Grid, lattice_path: Path, lattice: Grid) -> tuple[int, int]:
+    """Return the pixel (row, col) of a lattice at which a tile begins."""
+    beside = f"does not lie on the lattice of {lattice_path}"
+    if grid.crs is not lattice.crs and grid.crs != lattice.crs:
+        found, wanted = grid.crs_text(), lattice.crs_text()
+        raise InputError(path, f"{beside}: its CRS is {found}, not {wanted}", "reproject it with gdalwarp")
+    steps, wanted_steps = (np.array(one.transform[:6]).reshape(2, 3)[:, :2] for one in (grid, lattice))
+    sizes, wanted_sizes = np.hypot(*steps), np.hypot(*wanted_steps)
+    if (np.abs(sizes / wanted_sizes - 1) > _SAME_SIZE).any():
+        described = "its pixels are {:.9g} x {:.9g}, not {:.9g} x {:.9g}".format(*sizes, *wanted_sizes)
+        raise InputError(path, f"{beside}: {described}", "resample it with gdalwarp -tr -tap")
+    if (np.abs(steps - wanted_steps) > _SAME_SIZE * wanted_sizes).any():
+        raise InputError(path, f"{beside}: it is turned or mirrored against it", "resample it with gdalwarp")
+    at = np.array(lattice.rowcol(grid.transform.c, grid.transform.f))
+    origin = np.rint(at)
+    offset = float(np.abs(at - origin).max())
+    if not offset <= _SAME_LATTICE_PX:
+        raise InputError(path, f"{beside}: it is {offset:.2f} px off", "resample it with gdalwarp -tr -tap")
+    return int(origin[0]), int(origin[1])
+
+
+def _having_data(colours: Colours, nodata: list[float | None]) -> Valid:
+    """Where a pixel is data: not where all its bands are nodata (one alone may be black), nor where any is no number.
+
+    Only what may be nodata is looked at: most files declare none, and whole numbers are all finite.
+    """
+    real = colours.dtype.kind == "f"
+    if not real and None in nodata:
+        return None
+    valid = np.ones(colours.shape[1:], np.bool_)
+    if real:
+        for plane in colours:
+            valid &= np.isfinite(plane)
+    empty = is_nodata(colours[0], nodata[0])
+    for plane, value in zip(colours[1:], nodata[1:], strict=True):
+        if not empty.any():
+            return valid
+        empty &= is_nodata(plane, value)
+    return valid & ~empty
+
+
+def _choose_bands(raster: Raster, asked: tuple[int, ...]) -> list[int]:
+    if asked:
+        if len(asked) not in (1, 3) or not all(1 <= band <= raster.count for band in asked):
+            raise ArgumentError(f"{raster.path}: --bands takes one or three of the bands 1 to {raster.count}")
+        return list(asked)
+    declared = {colour: i + 1 for i, colour in reversed(list(enumerate(raster.colours)))}
+    wanted = (ColorInterp.red, ColorInterp.green, ColorInterp.blue)
+    if all(colour in declared for colour in wanted):
+        chosen = [declared[colour] for colour in wanted]
+    else:
+        colours = [i + 1 for i, colour in enumerate(raster.colours) if colour != ColorInterp.alpha]
+        if not colours:
+            raise InputError(raster.path, "has an alpha band but no colour")
+        chosen = colours[:3] if len(colours) >= 3 else colours[:1]
+    extra = [i + 1 for i, colour in enumerate(raster.colours) if i + 1 not in chosen and colour != ColorInterp.alpha]
+    if extra:
+        raster.notes.append(
+            f"bands {', '.join(map(str, chosen))} are taken as colour; "
+            f"band {', '.join(map(str, extra))} is not declared as alpha and is not used"
+        )
+    return chosen
