@@ -24,6 +24,9 @@ Example:
 @opt.output_opt
 @click.option("--scores", "scores_path", type=opt.PATH, help="Score table (JSON). Default: 0.5 for every class.")
 @click.option(
+    "--unknown-as-prior", is_flag=True, help="Classes that the table does not name count 0.5, and are least certain."
+)
+@click.option(
     "--cell", "cell_m", type=opt.FiniteFloat(0, low_open=True), default=1.0, show_default=True, help="Cell side, m."
 )
 @click.option(
@@ -45,6 +48,7 @@ def scoremap(
     classes: Path,
     output: Path,
     scores_path: Path | None,
+    unknown_as_prior: bool,
     cell_m: float,
     explore: float,
     no_go_below: float | None,
@@ -67,6 +71,7 @@ def scoremap(
             classes,
             output,
             scores_path=scores_path,
+            unknown_as_prior=unknown_as_prior,
             cell_m=cell_m,
             explore=explore,
             no_go_below=no_go_below,
@@ -78,7 +83,10 @@ def scoremap(
         from hrt_cli.report.overlay import draw_scoremap
 
         draw_scoremap(output, figure, backdrop=backdrop, existing=existing)
-    if done.unknown:
+    if done.unknown and scores_path is not None:
+        ids = ", ".join(map(str, done.unknown))
+        console.note(f"Note: {scores_path}: says nothing of class {ids}, which counts as unknown: 0.5")
+    elif done.unknown:
         console.note("Note: no --scores given: every class counts 0.5, so the map says only where the robot may go")
     state = "up to date" if done.up_to_date else f"{done.seconds:.1f} s"
     console.result(

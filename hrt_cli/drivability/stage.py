@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -55,6 +56,7 @@ def make_scoremap(
     output: Path,
     *,
     scores_path: Path | None = None,
+    unknown_as_prior: bool = False,
     cell_m: float = 1.0,
     explore: float = 0.0,
     no_go_below: float | None = None,
@@ -64,7 +66,8 @@ def make_scoremap(
 ) -> ScoremapSummary:
     """Make `output` (a scoremap) from a class raster and a score table.
 
-    Without a table every class has the uniform prior. With one, every class of the raster must stand in it.
+    Without a table every class has the uniform prior. With one, every class of the raster must stand in it, or with
+    `unknown_as_prior` has the prior too.
 
     Raises
     ------
@@ -78,7 +81,9 @@ def make_scoremap(
     began = time.monotonic()
     creation = creation or {}
     inputs = {"classes": classes_path} | ({"scores": scores_path} if scores_path else {})
-    parameters = {"cell_m": cell_m, "explore": explore, "no_go_below": no_go_below, "creation": creation}
+    parameters: dict[str, Any] = {"cell_m": cell_m, "explore": explore, "no_go_below": no_go_below, "creation": creation}
+    if unknown_as_prior:
+        parameters["unknown_as_prior"] = True
     job = begin(
         STAGE, STAGE_VERSION, inputs=inputs, parameters=parameters, outputs={output: cog_provenance}, existing=existing
     )
@@ -89,8 +94,8 @@ def make_scoremap(
     else:
         with open_classes(classes_path) as classes:
             covered = cover(classes.grid, classes.read, cell_m, progress)
-        table = _scores_for(covered, scores, classes_path, scores_path)
-        unknown = [] if scores_path else covered.classes
+        table = _scores_for(covered, scores, classes_path, scores_path, unknown_as_prior)
+        unknown = [k for k in covered.classes if k not in scores]
         score, sd = score_cells(covered, table, explore, no_go_below)
         if np.isnan(score).all():
             raise InputError(classes_path, "gives no cell that may be entered: all are nodata or below --no-go-below")
@@ -110,13 +115,16 @@ def make_scoremap(
 
 
 def _scores_for(
-    covered: Cover, scores: dict[int, ClassScore], classes_path: Path, scores_path: Path | None
+    covered: Cover,
+    scores: dict[int, ClassScore],
+    classes_path: Path,
+    scores_path: Path | None,
+    unknown_as_prior: bool,
 ) -> dict[int, ClassScore]:
     if not covered.classes:
         raise InputError(classes_path, "holds no class: all is nodata")
-    if scores_path is None:
-        return dict.fromkeys(covered.classes, PRIOR)
     absent = [k for k in covered.classes if k not in scores]
-    if absent:
-        raise InputError(scores_path, f"says nothing of class {absent[0]}, which {classes_path} holds")
-    return scores
+    if scores_path is not None and absent and not (unknown_as_prior and len(absent) < len(covered.classes)):
+        remedy = "give it a score, or say --unknown-as-prior if it is new"
+        raise InputError(scores_path, f"says nothing of class {absent[0]}, which {classes_path} holds", remedy)
+    return dict.fromkeys(covered.classes, PRIOR) | scores

@@ -12,9 +12,9 @@ from hrt_cli.raster.gate import open_raster
 from hrt_cli.raster.image import open_image
 
 # Measured with benchmarks/texture.py on one core of the slow machine it was written on: a rough guide only.
-_MEGAPIXELS_PER_SECOND = 8.0
-_START_UP_S = 4.0
-_BASE_MB = 340.0
+_MEGAPIXELS_PER_SECOND = 20.0
+_START_UP_S = 2.5
+_BASE_MB = 290.0
 _MB_PER_WORKER = 90.0
 
 

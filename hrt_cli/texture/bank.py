@@ -123,7 +123,7 @@ class GaborBank:
         second[(first == 0) | (second == first)] = -1
         return Filters(
             level=level,
-            stride=_stride(step_px >> level, self.samples),
+            stride=_stride(step_px, step_px >> level, self.samples),
             row_even=row_even.astype(np.float32),
             row_odd=row_odd.astype(np.float32),
             col_even=col_even.astype(np.float32),
@@ -143,9 +143,9 @@ class GaborBank:
         return rows, cols
 
 
-def _stride(per_cell: int, samples: int) -> int:
-    """Distance of samples for cells of so many level pixels a side; an amplitude is smooth over a wavelength."""
-    return min(max(per_cell // samples, min(per_cell, 2)), _MAX_STRIDE)
+def _stride(step_px: int, per_cell: int, samples: int) -> int:
+    """Distance of samples in level pixels: the same on every level, where wavelengths are alike, within a cell."""
+    return min(max(step_px // samples, 2), per_cell, _MAX_STRIDE)
 
 
 def _reach_px(one: Filters, taps: F32) -> int:

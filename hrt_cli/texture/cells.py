@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -86,8 +87,7 @@ class Cells:
         begin = max(left, 0)
         end = max(min(left + grid.cols, self.grid.cols), begin)
         for row in range(max(top, 0), min(top + grid.rows, self.grid.rows)):
-            found = self._read((end - begin) * self._record, row * self._line + begin * self._record)
-            out[row - top, begin - left : end - left] = found.view(np.float32).reshape(-1, self.gauge.channels)
+            self._read(out[row - top, begin - left : end - left], row * self._line + begin * self._record)
         return np.ascontiguousarray(out.transpose(2, 0, 1))
 
     def read_valid(self, window: Window) -> NDArray[np.bool_]:
@@ -95,12 +95,11 @@ class Cells:
         if self.valid_pixels == self.shape[0] * self.shape[1]:
             return np.ones((window.height, window.width), np.bool_)
         first, last = window.col // 8, -(-(window.col + window.width) // 8)
-        lines = [
-            self._read(last - first, self._mask_start + row * self._mask_line + first)
-            for row in range(window.row, window.row + window.height)
-        ]
+        bits = np.empty((window.height, last - first), np.uint8)
+        for row, line in enumerate(bits, start=window.row):
+            self._read(line, self._mask_start + row * self._mask_line + first)
         skip = window.col - 8 * first
-        return np.asarray(np.unpackbits(np.stack(lines), axis=1)[:, skip : skip + window.width] == 0)
+        return np.asarray(np.unpackbits(bits, axis=1)[:, skip : skip + window.width] == 0)
 
     def _write(self, values: NDArray[np.generic], offset: int) -> None:
         if values.size == 0:
@@ -110,13 +109,14 @@ class Cells:
             written = os.pwrite(self._file.fileno(), data, offset)
             data, offset = data[written:], offset + written
 
-    def _read(self, count: int, offset: int) -> NDArray[np.uint8]:
-        out = np.empty(count, np.uint8)
-        view = out.data
+    def _read(self, out: NDArray[Any], offset: int) -> None:
+        """Fill a contiguous array from the file."""
+        if out.size == 0:
+            return
+        view = out.data.cast("B")
         while view:
             got = os.preadv(self._file.fileno(), [view], offset)
             view, offset = view[got:], offset + got
-        return out
 
 
 Filler = Callable[[Cells, int, Progress], None]

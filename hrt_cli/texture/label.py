@@ -82,15 +82,23 @@ def label(
         bottom = min((r + 1) * step_px + half - first_row, height)
         if bottom <= top:
             continue
-        for c in range(cols - 1):
+        c = 0
+        while c < cols - 1:
             left = max(c * step_px + half - first_col, 0)
-            right = min((c + 1) * step_px + half - first_col, width)
             one = best[r, c]
-            if best[r, c + 1] == one and best[r + 1, c] == one and best[r + 1, c + 1] == one:
+            run = c
+            while (
+                run < cols - 1 and best[r, run + 1] == one and best[r + 1, run] == one and best[r + 1, run + 1] == one
+            ):
+                run += 1
+            if run > c:
+                # All corners agree from here to there: long lines are filled at once.
+                right = min(run * step_px + half - first_col, width)
                 for y in range(top, bottom):
-                    for x in range(left, right):
-                        classes[y, x] = one
+                    classes[y, left:right] = one
+                c = run
                 continue
+            right = min((c + 1) * step_px + half - first_col, width)
             corners = scores[:, r : r + 2, c : c + 2]
             count = _rivals(corners, best[r : r + 2, c : c + 2], rivals)
             for y in range(top, bottom):
@@ -107,6 +115,7 @@ def label(
                         if score < least:
                             nearest, least = i, score
                     classes[y, x] = rivals[nearest]
+            c += 1
     _blank(classes, defined, valid, step_px, first_row, first_col)
     return classes
 
@@ -149,8 +158,9 @@ def _blank(
 ) -> None:
     height, width = classes.shape
     for y in range(height):
+        line, inside = classes[y], valid[y]
         for x in range(width):
-            classes[y, x] = classes[y, x] if valid[y, x] else NODATA
+            line[x] = line[x] if inside[x] else np.uint8(NODATA)
     for r in range(defined.shape[0]):
         for c in range(defined.shape[1]):
             if not defined[r, c]:

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Generator, Iterable
+from collections.abc import Callable, Generator, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import closing
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TypeVar
 
 import numpy as np
@@ -32,6 +32,8 @@ MAX_SAMPLE_TILES = 64
 MAX_WHOLE_TILES = 16
 """Where neighbours count, tiles are taken whole, and fewer of them."""
 MAX_SAMPLE = 40_000
+STRIP_PX = 4096
+"""Blocks of a row are worked on together up to this width."""
 _LOOK_AHEAD = 2
 """Blocks in work or waiting for their turn, per worker."""
 
@@ -174,35 +176,48 @@ def predict(
         Measured with `model.settings`.
     model : TextureModel
     sink : callable
-        Called as `sink(window, classes)` for every block, row by row, from this thread; `classes` is
+        Called as `sink(window, classes)` for every strip of blocks, row by row, from this thread; `classes` is
         uint8 [height, width], `NODATA` where the image has none.
     block_px : int
         Side of a block; the classes do not depend on it.
     workers : int
         Threads that work on blocks; the classes do not depend on it.
     progress : Progress
-        Counts blocks.
+        Counts strips of blocks.
     """
     windows = Windows(cells.settings, cells.pixel_m, cells.grid.step_px)
     linear = model.linear_scores()
-    blocks_of = list(blocks(cells.shape, block_px, cells.anchor))
+    strips = list(_strips(blocks(cells.shape, block_px, cells.anchor)))
     counts = np.zeros(256, np.int64)
-    done = 0
 
-    def classify(window: Window) -> NDArray[np.uint8]:
-        return _classify(cells, windows, window, linear)
+    def classify(strip: Window) -> NDArray[np.uint8]:
+        return _classify(cells, windows, strip, linear)
 
-    with closing(_in_order(classify, blocks_of, workers)) as results:
-        for window, classes in zip(blocks_of, results, strict=True):
+    with closing(_in_order(classify, strips, workers)) as results:
+        for done, (strip, classes) in enumerate(zip(strips, results, strict=True), start=1):
             counts += count_classes(classes)
-            sink(window, classes)
-            done += 1
-            progress(done, len(blocks_of))
+            sink(strip, classes)
+            progress(done, len(strips))
     return SegmentStats(
         class_pixels=tuple(int(n) for n in counts[: model.classes]),
         pixels=cells.shape[0] * cells.shape[1],
         valid_pixels=cells.valid_pixels,
     )
+
+
+def _strips(parts: Iterable[Window]) -> Iterator[Window]:
+    """Join neighbouring blocks of a row, so that they share a halo."""
+    strip: Window | None = None
+    for part in parts:
+        if strip is None:
+            strip = part
+        elif part.row == strip.row and part.col + part.width - strip.col <= STRIP_PX:
+            strip = replace(strip, width=part.col + part.width - strip.col)
+        else:
+            yield strip
+            strip = part
+    if strip is not None:
+        yield strip
 
 
 def halo_px(settings: FeatureSettings, pixel_m: tuple[float, float]) -> tuple[int, int]:

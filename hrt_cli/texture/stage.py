@@ -24,6 +24,7 @@ from hrt_cli.texture.cluster import best, cluster, consider
 from hrt_cli.texture.grow import MIN_SHARE, grow, novel
 from hrt_cli.texture.model import TextureModel, describe
 from hrt_cli.texture.segment import SegmentSpec, SegmentStats, draw_sample, predict
+from hrt_cli.texture.start import spare_linear_algebra
 
 STAGE = "segment"
 STAGE_VERSION = 2
@@ -157,6 +158,7 @@ def segment_file(
         See `hrt_cli.artifacts.stage.begin`.
     """
     began = time.monotonic()
+    spare_linear_algebra()
     model_out = wanted.model_out
     if model_out is not None and model_out.resolve() == output.resolve():
         raise OutputError(f"{output}: is named for two outputs; give the classes and the model different files")
@@ -177,6 +179,8 @@ def segment_file(
             filler = _filler(image, paths, image_options, work)
             found = _make(image, output, wanted, job.provenance, work, filler, progress)
         notes = [*image.notes, *_novelty_notes(found)]
+        if wanted.spec and wanted.spec.features == "site" and _is_grey(image):
+            notes.append("it has one grey band: its classes are told apart by texture alone")
         return Segmentation(job.up_to_date, found, notes, time.monotonic() - began)
 
 
@@ -219,7 +223,7 @@ def _make(
     filler: Filler | None,
     progress: Progress,
 ) -> Found:
-    asked: SegmentSpec | TextureModel = wanted.spec or read_model(_given(wanted.model_path))
+    asked = _asked(image, wanted)
     rows_px = rows_at_once(work.block_px, image.block_shape[0])
     try:
         if isinstance(asked, SegmentSpec):
@@ -246,10 +250,18 @@ def _make(
     return found
 
 
-def _given(path: Path | None) -> Path:
-    if path is None:
+def _asked(image: Image, wanted: Wanted) -> SegmentSpec | TextureModel:
+    if wanted.model_path is not None:
+        return read_model(wanted.model_path)
+    if wanted.spec is None:
         raise ValueError("either a specification or a model is needed")
-    return path
+    if _is_grey(image) and wanted.spec.features == "site":
+        return replace(wanted.spec, features="texture")
+    return wanted.spec
+
+
+def _is_grey(image: Image) -> bool:
+    return len(image.bands) == 1 and image.raster.palette is None
 
 
 def _fitted(cells: Cells, spec: SegmentSpec) -> tuple[TextureModel, dict[str, Any]]:

@@ -320,6 +320,21 @@ def test_scoremap_refuses_a_bad_table(
     refused(lambda a: here(a, capfd), args, tmp_path / "out.tif", 1, "scores.json", problem)
 
 
+def test_a_class_without_a_score_counts_as_unknown_when_asked(
+    tmp_path: Path, scores: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    scores.write_text('{"scores": {"0": 0.1, "1": 0.5}}')
+    classes = write_raster(tmp_path / "classes.tif", class_ids())
+    out = tmp_path / "out.tif"
+    args = ["scoremap", str(classes), "-o", str(out), "--scores", str(scores), "--unknown-as-prior", "--json"]
+    done = here(args, capfd)
+    assert done.code == 0
+    assert json.loads(done.stdout)["unknown"] == [2]
+    assert "says nothing of class 2" in done.stderr
+    scores.write_text('{"scores": {"7": 0.1}}')
+    refused(lambda a: here(a, capfd), args[:2] + args[4:7], tmp_path / "other.tif", 1, "scores.json", "nothing of class 0")
+
+
 @pytest.mark.parametrize("cell", ["0", "-1", "nan", "inf", "x"])
 def test_scoremap_refuses_a_cell_that_is_none(tmp_path: Path, cell: str, capfd: pytest.CaptureFixture[str]) -> None:
     classes = write_raster(tmp_path / "classes.tif", class_ids())

@@ -69,14 +69,20 @@ def test_the_pyramid_agrees_with_the_full_kernel(wavelength_px: float, level: in
 
 @pytest.mark.parametrize(
     ("wavelength_px", "samples", "of_all", "of_one"),
-    [(4.0, 2, 0.008, 0.015), (5.7, 2, 0.007, 0.014), (8.0, 2, 0.006, 0.011), (16.0, 1, 0.015, 0.03)],
+    [
+        (4.0, 2, 0.008, 0.015),
+        (8.0, 2, 0.018, 0.036),
+        (16.0, 2, 0.015, 0.03),
+        (2.83, 4, 0.002, 0.004),
+        (5.66, 4, 0.005, 0.01),
+        (11.3, 4, 0.014, 0.028),
+    ],
 )
 def test_sparse_sampling_of_cells_is_enough(wavelength_px: float, samples: int, of_all: float, of_one: float) -> None:
     """Root mean squares of the change, in the window of a site's texture, against the mean over all pixels."""
     side, margin = 8, 16
-    (one,) = GaborBank((wavelength_px,), 6).filters((1.0, 1.0), side)
+    (one,) = GaborBank((wavelength_px,), 6, samples=samples).filters((1.0, 1.0), side)
     per_cell = side >> one.level
-    assert per_cell // one.stride == samples
     level = columns_apart((0.2 * photograph(1024, 5)).astype(np.float32))
     for _ in range(one.level):
         level = halve(level)

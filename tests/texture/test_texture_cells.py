@@ -71,9 +71,7 @@ def test_what_is_put_is_read(
         assert got.flags.c_contiguous
         assert np.array_equal(got, np.moveaxis(expected, -1, 0))
         top, left = (int(rng.integers(0, n)) for n in shape)
-        window = Window(
-            top, left, int(rng.integers(1, shape[0] - top + 1)), int(rng.integers(1, shape[1] - left + 1))
-        )
+        window = Window(top, left, int(rng.integers(1, shape[0] - top + 1)), int(rng.integers(1, shape[1] - left + 1)))
         assert np.array_equal(cells.read_valid(window), valid[window.slices])
     cells.close()
 
