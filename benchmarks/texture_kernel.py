@@ -29,8 +29,8 @@ STEP_PX = 8
 WINDOW_CELLS = 2.0
 """Energies are compared as features take them: averaged over a Gaussian window of 16 pixels."""
 ORFEO = "otbcli_HaralickTextureExtraction"
-ORFEO_RADII_PX = (2, 16)
-"""Its default, which looks at 25 of the 64 pixels of a cell, and the texture window of `hrt segment`."""
+ORFEO_RADII_PX = (2, 4, 16)
+"""Its default, which looks at 25 of the 64 pixels of a cell; all pixels; the texture window of `hrt segment`."""
 
 F32 = NDArray[np.float32]
 Bank = Callable[[F32, Sequence[float]], F32]

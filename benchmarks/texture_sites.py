@@ -15,7 +15,7 @@ from hrt_cli.world.scenes import SCENES
 from hrt_cli.world.synth import Site, SiteSpec, make_site
 
 sys.path.append(str(ROOT / "tests" / "texture"))
-from sites import POLYGONS, baseline, cell_colours, read_site, recalls, smoothed, spread, truth_of
+from sites import POLYGONS, baseline, cell_colours, read_site, recalls, smoothed, spread
 
 SITE_CLASSES = (5, 6, 8)
 PIXEL_M = 0.05
@@ -36,12 +36,12 @@ def quality_sites(effort: Effort) -> list[Table]:
         raise Skipped("the real sites are absent (../shared/data)")
     found: dict[tuple[str, int], tuple[float, float]] = {}
     for name in names:
-        rgb, valid, _ = read_site(DATA / name)
-        truth = truth_of(name, valid)
+        site = read_site(DATA, name)
+        picture = Picture(site.rgb, site.valid) if (DATA / name).is_dir() else DATA / name
         for classes in SITE_CLASSES:
-            ours = segment(DATA / name, classes)
-            plain = baseline(rgb, valid, classes)
-            found[name, classes] = tuple(float(recalls(one, truth)[0].mean()) for one in (ours, plain))
+            ours = segment(picture, classes)
+            plain = baseline(site.rgb, site.valid, classes)
+            found[name, classes] = tuple(float(recalls(one, site.truth)[0].mean()) for one in (ours, plain))
     for classes in SITE_CLASSES:
         mean = np.mean([found[name, classes] for name in names], axis=0)
         found["mean", classes] = (float(mean[0]), float(mean[1]))

@@ -43,6 +43,10 @@ class ArgumentError(HrtError):
     """A value given on the command line does not fit the data (a start off the map, K above the limit)."""
 
 
+class ClusterError(HrtError):
+    """The machines that were asked to share the work do not."""
+
+
 class OutputError(HrtError):
     """The output cannot be written, or would overwrite something that is not its own."""
 

@@ -73,11 +73,10 @@ class Cells:
         """Keep what a sweep found."""
         for row, line in enumerate(part.cells, start=part.grid.row - self.grid.row):
             self._write(line, row * self._line + (part.grid.col - self.grid.col) * self._record)
-        valid = int(np.count_nonzero(part.valid))
         with self._lock:
-            self.valid_pixels += valid
-        if valid < part.valid.size:
-            for row, bits in enumerate(np.packbits(~part.valid, axis=1), start=part.window.row):
+            self.valid_pixels += part.valid_pixels
+        if part.invalid is not None:
+            for row, bits in enumerate(part.invalid, start=part.window.row):
                 self._write(bits, self._mask_start + row * self._mask_line + part.window.col // 8)
 
     def read(self, grid: CellGrid) -> F32:
@@ -128,6 +127,7 @@ def measured(
     source: ImageSource,
     settings: FeatureSettings,
     *,
+    pixel_m: tuple[float, float] | None = None,
     rows_px: int = ROWS_PX,
     workers: int = 1,
     filler: Filler | None = None,
@@ -140,6 +140,8 @@ def measured(
     ----------
     source : ImageSource
     settings : FeatureSettings
+    pixel_m : (float, float), optional
+        What to take the pixels for, if not for what the source says.
     rows_px : int
         Rows of pixels read at once; the measures do not depend on it.
     workers : int
@@ -158,7 +160,7 @@ def measured(
     OSError
         There is no room for the temporary file.
     """
-    cells = Cells(settings, source.pixel_m, source.shape, source.anchor, folder)
+    cells = Cells(settings, pixel_m or source.pixel_m, source.shape, source.anchor, folder)
     try:
         if filler is None:
             _sweep_all(source, cells, rows_px, workers, progress)
@@ -198,7 +200,8 @@ def _sweep_all(source: ImageSource, cells: Cells, rows_px: int, workers: int, pr
 
 def rows_at_once(wanted_px: int, block_rows: int) -> int:
     """Return how many rows to read at once so that no block of the file is decoded twice, near `wanted_px`."""
-    return min(max(1, round(wanted_px / block_rows)) * block_rows, _MAX_ROWS_PX)
+    blocks = max(1, min(round(wanted_px / block_rows), _MAX_ROWS_PX // block_rows))
+    return min(blocks * block_rows, _MAX_ROWS_PX)
 
 
 def row_shares(grid: CellGrid, count: int) -> list[tuple[int, int]]:

@@ -41,6 +41,8 @@ class Sample:
     values : ndarray [patches, channels] float64
     rgb : ndarray [patches, 3] float64
     roughness : ndarray [patches] float64
+    plain : ndarray [patches] bool
+        See `Patches`.
     tiles : list of Tile
         Where settings ask for a wide window: the tiles whose usable cells, in order, the patches are.
     """
@@ -48,6 +50,7 @@ class Sample:
     values: F64
     rgb: F64
     roughness: F64
+    plain: NDArray[np.bool_]
     tiles: list[Tile] = field(default_factory=list)
 
     @classmethod
@@ -57,6 +60,7 @@ class Sample:
             np.concatenate([one.values for one in parts]),
             np.concatenate([one.rgb for one in parts]),
             np.concatenate([one.roughness for one in parts]),
+            np.concatenate([one.plain for one in parts]),
             [tile for one in parts for tile in one.tiles],
         )
 

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import hrt_cli
-from hrt_cli.errors import ArgumentError, InputError
+from hrt_cli.errors import ClusterError, InputError
 from hrt_cli.progress import Progress
 from hrt_cli.raster.image import Image, Stretch
 from hrt_cli.raster.mosaic import open_layer
@@ -84,11 +84,11 @@ class Recipe:
         ------
         InputError
             A file is absent here, or is not the one that the recipe is for.
-        ArgumentError
+        ClusterError
             This is another version of hrt.
         """
         if self.version != hrt_cli.__version__:
-            raise ArgumentError(f"a worker runs hrt {hrt_cli.__version__}, this is {self.version}: install one version")
+            raise ClusterError(f"a worker runs hrt {hrt_cli.__version__}, this is {self.version}: install one version")
         for path, size in self.sizes.items():
             if not path.is_file() or path.stat().st_size != size:
                 raise InputError(path, "is not the same file for a worker", "put it on a file system that all share")
@@ -100,10 +100,12 @@ class Recipe:
             yield image
 
 
-def sweep_rows(recipe: Recipe, settings: FeatureSettings, rows: tuple[int, int], rows_px: int) -> list[Part]:
+def sweep_rows(
+    recipe: Recipe, settings: FeatureSettings, pixel_m: tuple[float, float], rows: tuple[int, int], rows_px: int
+) -> list[Part]:
     """Measure a range of rows of cells: what runs on a worker."""
     with recipe.open() as image:
-        return list(Gauge(settings, image.pixel_m).sweep(image, rows, rows_px))
+        return list(Gauge(settings, pixel_m).sweep(image, rows, rows_px))
 
 
 def sweep_on(address: str, recipe: Recipe) -> Callable[[Cells, int, Progress], None]:
@@ -120,26 +122,28 @@ def sweep_on(address: str, recipe: Recipe) -> Callable[[Cells, int, Progress], N
 
     Raises
     ------
-    ArgumentError
+    ClusterError
         The `dask` extra is not installed.
     """
     try:
         from distributed import Client
     except ImportError as error:
-        raise ArgumentError("--dask needs more packages: pip install 'hrt[dask]'") from error
+        raise ClusterError("--dask needs more packages: pip install 'hrt[dask]'") from error
     # What goes wrong on the cluster reaches the user as one line, not as the log of its heartbeats.
-    logging.getLogger("distributed").setLevel(logging.CRITICAL)
+    # Dask gives the client's logger a level of its own.
+    for name in ("distributed", "distributed.client"):
+        logging.getLogger(name).setLevel(logging.CRITICAL)
 
     def fill(cells: Cells, rows_px: int, progress: Progress) -> None:
         try:
             client = Client(address, timeout=CONNECT_S, set_as_default=False)
         except (OSError, ValueError) as error:
-            raise ArgumentError(f"--dask {address}: no Dask scheduler answers there") from error
+            raise ClusterError(f"--dask {address}: no Dask scheduler answers there") from error
         with client:
             try:
                 client.wait_for_workers(1, timeout=CONNECT_S)
             except TimeoutError as error:
-                raise ArgumentError(f"--dask {address}: the scheduler has no worker") from error
+                raise ClusterError(f"--dask {address}: the scheduler has no worker") from error
             _gather(client, recipe, cells, rows_px, progress)
 
     return fill
@@ -153,7 +157,9 @@ def _gather(client: Any, recipe: Recipe, cells: Cells, rows_px: int, progress: P
     threads = sum(client.nthreads().values())
 
     def submit(rows: tuple[int, int]) -> Any:
-        return client.submit(sweep_rows, recipe, cells.settings, rows, rows_px, pure=False, retries=_RETRIES)
+        return client.submit(
+            sweep_rows, recipe, cells.settings, cells.pixel_m, rows, rows_px, pure=False, retries=_RETRIES
+        )
 
     waiting = iter(shares)
     first = [submit(rows) for rows in itertools.islice(waiting, _TASKS_PER_THREAD * threads)]
@@ -168,10 +174,14 @@ def _gather(client: Any, recipe: Recipe, cells: Cells, rows_px: int, progress: P
 
 
 def _result(future: Any) -> list[Part]:
+    from concurrent.futures import CancelledError
+
     from distributed import KilledWorker
 
     try:
         parts: list[Part] = future.result()
     except KilledWorker as error:
-        raise ArgumentError("--dask: workers died at the same task again and again: give them memory") from error
+        raise ClusterError("--dask: workers died at the same task again and again: give them memory") from error
+    except CancelledError as error:
+        raise ClusterError("--dask: the scheduler went away while it was at work; start it and run again") from error
     return parts

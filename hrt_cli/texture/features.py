@@ -25,6 +25,8 @@ _BORDER_CELLS = 2
 """A colour difference is taken over so many cells to either side."""
 _BORDER_LAB = 6.0
 """Colour difference over that distance at which a cell counts a quarter."""
+_PLAIN = 0.25
+"""Purity from which on a cell counts as plain ground."""
 _PURITY_FLOOR = 1e-3
 """Where all is border, all counts alike."""
 _CHROMA_KNEE = 12.0
@@ -47,6 +49,8 @@ class Patches:
         Mean log amplitude over wavelengths and orientations.
     share : ndarray [rows, cols] float32
         Share of valid pixels.
+    plain : ndarray [rows, cols] bool
+        No border of colours runs beside the cell; everywhere where colour does not count.
     usable : ndarray [rows, cols] bool
         At least half of the cell's pixels are valid.
     defined : ndarray [rows, cols] bool
@@ -57,6 +61,7 @@ class Patches:
     rgb: F32
     roughness: F32
     share: F32
+    plain: NDArray[np.bool_]
     usable: NDArray[np.bool_]
     defined: NDArray[np.bool_]
 
@@ -135,6 +140,7 @@ class Windows:
             rgb=cells[COLOUR][:, *inner],
             roughness=texture[0],
             share=np.ascontiguousarray(share[inner]),
+            plain=self._inside(weights, share[inner].shape) >= np.float32(_PLAIN) * share[inner],
             usable=usable[inner],
             defined=_dilate(usable)[inner],
         )
@@ -143,6 +149,9 @@ class Windows:
         """Return the texture channels in the window of the fit, of every cell but `fit_halo_cells`."""
         averaged, _ = smooth(np.ascontiguousarray(cells[TEXTURE]), cells[SHARE], *self._fit_taps)
         return self._channels(averaged)[1:]
+
+    def _inside(self, values: F32, shape: tuple[int, ...]) -> F32:
+        return values[_inner(values, ((values.shape[0] - shape[0]) // 2, (values.shape[1] - shape[1]) // 2))]
 
     def _averaged(self, values: F32, weights: F32, taps: Taps) -> F32:
         """Average over a window; `values` and `weights` [.., rows, cols] may have more around than it needs."""

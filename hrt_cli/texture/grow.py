@@ -20,9 +20,12 @@ F64 = NDArray[np.float64]
 
 
 def novel(model: TextureModel, sample: Sample) -> NDArray[np.bool_]:
-    """Return which patches lie outside the radius of every class: bool [patches]."""
+    """Return which patches lie outside the radius of every class, and on plain ground: bool [patches].
+
+    What lies on a border is a mixture, which no class was to hold.
+    """
     away = distances(project(model, sample.values), model.centroids)
-    return np.asarray((away > model.radius[:, None]).all(axis=0))
+    return np.asarray((away > model.radius[:, None]).all(axis=0) & sample.plain)
 
 
 def grow(model: TextureModel, sample: Sample, seed: int) -> TextureModel:

@@ -52,14 +52,23 @@ class Part:
         Their measures; see `COLOUR`, `SHARE` and `TEXTURE`.
     window : Window
         The pixels read that belong to the rows swept, inside the raster.
-    valid : ndarray [height, width] bool
-        Which of them hold data.
+    valid_pixels : int
+        How many of them hold data.
+    invalid : ndarray [height, width / 8] uint8 or None
+        Which of them do not, eight to a byte; None where all do.
     """
 
     grid: CellGrid
     cells: F32
     window: Window
-    valid: NDArray[np.bool_]
+    valid_pixels: int
+    invalid: U8 | None
+
+    @classmethod
+    def of(cls, grid: CellGrid, cells: F32, window: Window, valid: NDArray[np.bool_]) -> Part:
+        """Return a part with the mask `valid` [height, width] packed."""
+        count = int(np.count_nonzero(valid))
+        return cls(grid, cells, window, count, None if count == valid.size else np.packbits(~valid, axis=1))
 
 
 class Gauge:
@@ -168,6 +177,7 @@ class Gauge:
             else:
                 first = index * len(found)
                 texture[..., first : first + len(found)] = found.transpose(1, 2, 0)
+        texture[inner == 0] = np.float32(0)
         return out
 
     def sweep(self, source: ImageSource, rows: tuple[int, int], rows_px: int) -> Iterator[Part]:
@@ -226,8 +236,7 @@ class Gauge:
                 cells = self.measure(planes, valid, origin, (done.rows, done.cols))
                 inside = _rows_within(window, own).clipped(source.shape)
                 fresh = valid[above + inside.row - y0 :, beside + inside.col - x0 :]
-                # A copy: the buffer goes on to the next chunk.
-                yield Part(done, cells, inside, fresh[: inside.height, : inside.width].copy())
+                yield Part.of(done, cells, inside, fresh[: inside.height, : inside.width])
                 stay = min(keep_c, width)
                 planes[:, :height, :stay] = planes[:, :height, width - stay : width].copy()
                 valid[:height, :stay] = valid[:height, width - stay : width].copy()

@@ -14,6 +14,7 @@ MODEL_VERSION = 2
 MAX_CLASSES = 255
 """Classes are 0 … 254 in a uint8 raster; 255 is nodata."""
 NOVEL_QUANTILE = 0.999
+_SAME_PIXEL = 1e-3
 MAX_WAVELENGTHS = 16
 MAX_ORIENTATIONS = 32
 _SCALARS = ("texture_sigma_m", "fit_sigma_m", "colour_sigma_m", "contrast_sigma_m", "step_m")
@@ -64,6 +65,15 @@ class TextureModel:
     def classes(self) -> int:
         """Number of classes."""
         return len(self.centroids)
+
+    def pixels_of(self, pixel_m: tuple[float, float]) -> tuple[float, float]:
+        """Return what to take the pixels of another image for: those of the fit, where they are nearly those.
+
+        A crop of a raster lies elsewhere in its projection, and the ground metres of its pixels differ in the ninth
+        digit; it is to be measured by the very filters of the whole.
+        """
+        near = all(abs(one / other - 1) <= _SAME_PIXEL for one, other in zip(pixel_m, self.pixel_m, strict=True))
+        return self.pixel_m if near else pixel_m
 
     def linear_scores(self) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]:
         """Return `(mean, gain, offset)`: the class of x is argmin of gain · (x − mean) + offset.

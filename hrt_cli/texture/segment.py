@@ -264,6 +264,7 @@ def _draw(cells: Cells, windows: Windows, tile: Window, quota: int, rng: np.rand
         values=patches.values.reshape(channels, -1)[:, chosen].T.astype(np.float64),
         rgb=patches.rgb.reshape(3, -1)[:, chosen].T.astype(np.float64),
         roughness=patches.roughness.ravel()[chosen].astype(np.float64),
+        plain=patches.plain.ravel()[chosen],
         tiles=tiles,
     )
 

@@ -229,13 +229,19 @@ def _make(
         if isinstance(asked, SegmentSpec):
             if not image.has_colours(asked.classes or 2):
                 raise ArgumentError(f"holds fewer than {asked.classes} different colours, too few for as many classes")
-            settings = asked.settings(image.pixel_m)
+            settings, pixel_m = asked.settings(image.pixel_m), image.pixel_m
         else:
-            settings = asked.settings
+            settings, pixel_m = asked.settings, asked.pixels_of(image.pixel_m)
         with measured(
-            image, settings, rows_px=rows_px, workers=work.workers, filler=filler, folder=output.parent,
+            image,
+            settings,
+            pixel_m=pixel_m,
+            rows_px=rows_px,
+            workers=work.workers,
+            filler=filler,
+            folder=output.parent,
             progress=progress,
-        ) as cells:  # fmt: skip
+        ) as cells:
             if isinstance(asked, SegmentSpec):
                 model, extras = _fitted(cells, asked)
             else:

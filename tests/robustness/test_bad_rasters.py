@@ -332,7 +332,8 @@ def test_a_class_without_a_score_counts_as_unknown_when_asked(
     assert json.loads(done.stdout)["unknown"] == [2]
     assert "says nothing of class 2" in done.stderr
     scores.write_text('{"scores": {"7": 0.1}}')
-    refused(lambda a: here(a, capfd), args[:2] + args[4:7], tmp_path / "other.tif", 1, "scores.json", "nothing of class 0")
+    args = ["scoremap", str(classes), "--scores", str(scores), "--unknown-as-prior"]
+    refused(lambda a: here(a, capfd), args, tmp_path / "other.tif", 1, "scores.json", "nothing of class 0")
 
 
 @pytest.mark.parametrize("cell", ["0", "-1", "nan", "inf", "x"])

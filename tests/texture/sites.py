@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -11,34 +13,72 @@ from numpy.typing import NDArray
 from sklearn.cluster import KMeans
 
 from hrt_cli.raster.classes import NODATA
+from hrt_cli.raster.image import open_image
+from hrt_cli.raster.windows import Window
 
-POLYGONS: dict[str, dict[str, list[list[list[int]]]]] = json.loads(
-    (Path(__file__).parent / "polygons.json").read_text(encoding="utf-8")
-)
-"""File of a site -> label -> polygons as (column, row) pixels."""
+POLYGONS: dict[str, Any] = json.loads((Path(__file__).parent / "polygons.json").read_text(encoding="utf-8"))
+"""A site, which is a file or a folder of tiles (tile -> ...) -> label -> polygons as (column, row) pixels.
+
+Labels name what can be told from above at the scale of a patch: at SJER the road and bare slabs are one pale ground.
+"""
+GAP_PX = 64
+"""Tiles are laid beside one another with so much nodata between them."""
 
 Mask = NDArray[np.bool_]
 U8 = NDArray[np.uint8]
 
 
-def read_site(path: Path) -> tuple[U8, Mask, tuple[float, float]]:
-    """Return the picture, its valid pixels and the pixel's height and width in metres."""
-    import rasterio
+@dataclass(frozen=True)
+class Site:
+    """A picture with its polygons.
 
-    with rasterio.open(path) as raster:
-        rgb = np.ascontiguousarray(np.moveaxis(raster.read([1, 2, 3]), 0, -1))
-        return rgb, raster.dataset_mask() > 0, (raster.res[1], raster.res[0])
+    Attributes
+    ----------
+    rgb : ndarray [rows, cols, 3] uint8
+    valid : ndarray [rows, cols] bool
+    truth : ndarray [rows, cols] int8
+        Index of the label, −1 outside all polygons.
+    labels : list of str
+    pixel_m : (float, float)
+    anchor : (int, int)
+        Of the lattice; see `ImageSource`.
+    """
+
+    rgb: U8
+    valid: Mask
+    truth: NDArray[np.int8]
+    labels: list[str]
+    pixel_m: tuple[float, float]
+    anchor: tuple[int, int]
 
 
-def truth_of(name: str, valid: Mask) -> NDArray[np.int8]:
-    """Return the label of every pixel inside a polygon, −1 elsewhere."""
-    truth = np.full(valid.shape, -1, np.int8)
-    for index, polygons in enumerate(POLYGONS[name].values()):
-        for polygon in polygons:
-            inside = np.zeros(valid.shape, np.uint8)
-            cv2.fillPoly(inside, [np.array(polygon, np.int32)], 1)
-            truth[(inside > 0) & valid] = index
-    return truth
+def read_site(data: Path, name: str) -> Site:
+    """Read a site of `POLYGONS` from the folder of the real data; the tiles of a folder lie side by side."""
+    if not (data / name).is_dir():
+        return _read(data / name, POLYGONS[name], list(POLYGONS[name]))
+    labels = list(dict.fromkeys(label for drawn in POLYGONS[name].values() for label in drawn))
+    tiles = [_read(path, POLYGONS[name].get(path.name, {}), labels) for path in sorted((data / name).glob("*.tif"))]
+    around = ((GAP_PX, GAP_PX), (GAP_PX, GAP_PX))
+    return Site(
+        rgb=np.concatenate([np.pad(one.rgb, (*around, (0, 0))) for one in tiles], axis=1),
+        valid=np.concatenate([np.pad(one.valid, around) for one in tiles], axis=1),
+        truth=np.concatenate([np.pad(one.truth, around, constant_values=-1) for one in tiles], axis=1),
+        labels=labels,
+        pixel_m=tiles[0].pixel_m,
+        anchor=(0, 0),
+    )
+
+
+def _read(path: Path, drawn: dict[str, list[list[list[int]]]], labels: list[str]) -> Site:
+    with open_image(path) as image:
+        rgb, valid = image.read(Window(0, 0, *image.shape))
+        truth = np.full(image.shape, -1, np.int8)
+        for label, polygons in drawn.items():
+            for polygon in polygons:
+                inside = np.zeros(image.shape, np.uint8)
+                cv2.fillPoly(inside, [np.array(polygon, np.int32)], 1)
+                truth[(inside > 0) & valid] = labels.index(label)
+        return Site(rgb, valid, truth, labels, image.pixel_m, image.anchor)
 
 
 def recalls(classes: U8, truth: NDArray[np.int8]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

@@ -45,7 +45,9 @@ def inertia(points: F64, centroids: F64) -> float:
 
 def sample_of(values: F64, seed: int = 0) -> Sample:
     rng = np.random.default_rng(seed)
-    return Sample(values, rng.uniform(0, 255, (len(values), 3)), rng.normal(size=len(values)))
+    return Sample(
+        values, rng.uniform(0, 255, (len(values), 3)), rng.normal(size=len(values)), np.ones(len(values), bool)
+    )
 
 
 def site_settings(wavelengths: int = 4) -> FeatureSettings:

@@ -16,7 +16,7 @@ from affine import Affine
 from conftest import patchwork
 from raster_files import PIXEL_M, PLACE, UTM33, write_raster
 
-from hrt_cli.errors import ArgumentError, HrtError, InputError
+from hrt_cli.errors import ArgumentError, ClusterError, HrtError, InputError
 from hrt_cli.raster.image import open_orthomosaic
 from hrt_cli.texture import distributed as room
 from hrt_cli.texture.cells import Cells, measured
@@ -69,13 +69,15 @@ class TestRecipe:
             rows = (grid.row + 3, grid.row + 11)
             expected = list(gauge.sweep(image, rows, 64))
         assert pickle.loads(pickle.dumps(recipe)) == recipe
-        found = sweep_rows(recipe, gauge.settings, rows, 64)
+        found = sweep_rows(recipe, gauge.settings, gauge.pixel_m, rows, 64)
         assert len(found) == len(expected)
         for one, other in zip(found, expected, strict=True):
             assert (one.grid, one.window) == (other.grid, other.window)
             assert np.array_equal(one.cells, other.cells)
-            assert np.array_equal(one.valid, other.valid)
-        assert any(part.valid.any() for part in found)
+            assert one.valid_pixels == other.valid_pixels
+            assert (one.invalid is None) == (other.invalid is None)
+            assert one.invalid is None or np.array_equal(one.invalid, other.invalid)
+        assert any(part.valid_pixels for part in found)
 
     def test_paths_are_absolute(self, ortho: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.chdir(ortho.parent)
@@ -86,7 +88,7 @@ class TestRecipe:
 
     def test_another_version_is_refused(self, ortho: Path) -> None:
         recipe = replace(recipe_of(ortho), version="0.0.1")
-        with pytest.raises(ArgumentError, match=r"a worker runs hrt .*, this is 0\.0\.1"), recipe.open():
+        with pytest.raises(ClusterError, match=r"a worker runs hrt .*, this is 0\.0\.1"), recipe.open():
             pass
 
     @pytest.mark.parametrize("change", ["longer", "gone"])
@@ -197,7 +199,7 @@ class TestCluster:
         with pytest.raises(InputError, match=r"a\.tif: is not the same file for a worker"):
             sweep_on(cluster.scheduler_address, stale)(cells_of(path), 64, lambda done, total: None)
         old = replace(recipe_of(path), version="0.0.1")
-        with pytest.raises(ArgumentError, match=r"this is 0\.0\.1"):
+        with pytest.raises(ClusterError, match=r"this is 0\.0\.1"):
             sweep_on(cluster.scheduler_address, old)(cells_of(path), 64, lambda done, total: None)
 
 

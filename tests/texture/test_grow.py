@@ -129,11 +129,12 @@ def test_novel_is_what_lies_beyond_every_radius() -> None:
     inside = np.zeros(len(points), bool)
     for centroid, radius in zip(model.centroids, model.radius, strict=True):
         inside |= np.linalg.norm(points - centroid, axis=1) <= radius
-    assert np.array_equal(novel(model, sample), ~inside)
+    assert not sample.plain.all()
+    assert np.array_equal(novel(model, sample), ~inside & sample.plain)
 
 
 def part_of(sample: Sample, chosen: NDArray[np.intp]) -> Sample:
-    return Sample(sample.values[chosen], sample.rgb[chosen], sample.roughness[chosen])
+    return Sample(sample.values[chosen], sample.rgb[chosen], sample.roughness[chosen], sample.plain[chosen])
 
 
 @pytest.mark.parametrize(("share", "grows"), [(0.6, False), (1.4, True)])
@@ -170,7 +171,9 @@ def made_up(centres: NDArray[np.float64], seed: int = 0, count: int = 400) -> Sa
     rng = np.random.default_rng(seed)
     values = np.repeat(centres, count, axis=0)
     values = values + 0.1 * rng.normal(size=values.shape)
-    return Sample(values, rng.uniform(0, 255, (len(values), 3)), rng.normal(size=len(values)))
+    return Sample(
+        values, rng.uniform(0, 255, (len(values), 3)), rng.normal(size=len(values)), np.ones(len(values), bool)
+    )
 
 
 def made_up_model() -> TextureModel:
@@ -193,10 +196,29 @@ def test_new_classes_are_the_fewest_that_are_no_wider_than_the_old(new: int) -> 
     labels = distances(points, grown.centroids).argmin(axis=0)
     assert labels.min() == 3
     assert grown.radius[3:] == pytest.approx(class_radius(points, grown.centroids, labels)[3:])
+    for k in range(3, grown.classes):
+        assert grown.mean_rgb[k] == pytest.approx(sample.rgb[labels == k].mean(axis=0))
+        assert grown.roughness[k] == pytest.approx(sample.roughness[labels == k].mean())
+    assert (np.diff(grown.mean_rgb[3:] @ [0.299, 0.587, 0.114]) > 0).all()
     if new < MAX_NEW:
         assert grown.radius.max() == model.radius.max()
     if new <= MAX_NEW:
         assert len(set(zip(labels, np.repeat(np.arange(new), 400), strict=True))) == new
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_strays_are_no_class(seed: int) -> None:
+    model = made_up_model()
+    centres = np.array([[20.0] * 7, [26.0] * 7, [600.0] * 7])
+    every = made_up(centres)
+    stray = part_of(every, np.arange(803))
+    grown = grow(model, stray, seed)
+    assert grown.classes == 5
+    points = project(grown, stray.values)
+    labels = distances(points, grown.centroids).argmin(axis=0)[:800]
+    # The three that are far from all go to the nearest, of which they are no part.
+    assert grown.radius[3:] == pytest.approx(class_radius(points[:800], grown.centroids, labels)[3:])
+    assert novel(grown, stray)[800:].all()
 
 
 def test_the_same_seed_grows_the_same_classes() -> None:

@@ -60,8 +60,13 @@ def swept(
             assert part.cells.shape == cells[place].shape
             cells[place] = part.cells
             cells_seen[place] += 1
-            assert part.valid.shape == (part.window.height, part.window.width)
-            valid[part.window.slices] = part.valid
+            shape = (part.window.height, part.window.width)
+            bits = np.zeros(shape, np.uint8)
+            if part.invalid is not None:
+                bits = np.unpackbits(part.invalid, axis=1)[:, : shape[1]]
+            assert bits.shape == shape
+            assert part.valid_pixels == bits.size - bits.sum()
+            valid[part.window.slices] = bits == 0
             pixels_seen[part.window.slices] += 1
     assert (cells_seen == 1).all()
     assert (pixels_seen == 1).all()

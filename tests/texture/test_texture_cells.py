@@ -40,7 +40,7 @@ def fill(cells: Cells, values: NDArray[np.float32], valid: NDArray[np.bool_], ro
         x0, x1 = (width * k // cols // 8 * 8 if k < cols else width for k in (j, j + 1))
         place = CellGrid(grid.step_px, grid.row + r0, grid.col + c0, r1 - r0, c1 - c0)
         window = Window(y0, x0, y1 - y0, x1 - x0)
-        pieces.append(Part(place, values[r0:r1, c0:c1], window, valid[window.slices]))
+        pieces.append(Part.of(place, values[r0:r1, c0:c1], window, valid[window.slices]))
     for part in reversed(pieces):
         cells.put(part)
 
@@ -105,7 +105,7 @@ def test_several_threads_may_put_and_read() -> None:
     def put_and_read(row: int) -> None:
         place = CellGrid(8, cells.grid.row + row, cells.grid.col, 1, cells.grid.cols)
         window = Window(8 * row, 0, 8, 301)
-        cells.put(Part(place, values[row : row + 1], window, valid[window.slices]))
+        cells.put(Part.of(place, values[row : row + 1], window, valid[window.slices]))
         assert np.array_equal(cells.read(place), np.moveaxis(values[row : row + 1], -1, 0))
         assert np.array_equal(cells.read_valid(window), valid[window.slices])
 

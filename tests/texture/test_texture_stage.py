@@ -170,6 +170,9 @@ class TestModel:
         assert grown["classes"] == 4 + grown["new_classes"] == len(grown["class_table"])
         (note,) = grown["notes"]
         assert f"{grown['new_classes']} classes are new" in note
+        code, line = hrt.fails("segment", survey, "-o", tmp_path / "plain.tif", "--model", model, "--grow")
+        assert code == 1
+        assert "was not made by this run" in line
         before, after = classes_of(tmp_path / "plain.tif"), classes_of(tmp_path / "grown.tif")
         assert (after[480:] >= 4).mean() > 0.95
         assert (after[:440] == before[:440]).mean() > 0.98
