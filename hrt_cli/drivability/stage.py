@@ -81,7 +81,12 @@ def make_scoremap(
     began = time.monotonic()
     creation = creation or {}
     inputs = {"classes": classes_path} | ({"scores": scores_path} if scores_path else {})
-    parameters: dict[str, Any] = {"cell_m": cell_m, "explore": explore, "no_go_below": no_go_below, "creation": creation}
+    parameters: dict[str, Any] = {
+        "cell_m": cell_m,
+        "explore": explore,
+        "no_go_below": no_go_below,
+        "creation": creation,
+    }
     if unknown_as_prior:
         parameters["unknown_as_prior"] = True
     job = begin(

@@ -21,7 +21,7 @@ RESTARTS = 20
 _SPREAD_FLOOR = 1e-3
 """A channel that varies less than this (Lab units, log units) carries no information and is left out."""
 _DISTINCT_DECIMALS = 3
-_COLOUR_WEIGHTS = np.array([0.52, 1.1, 1.1]) / np.sqrt(3)
+_COLOUR_WEIGHTS = np.array([0.57, 1.3, 1.3]) / np.sqrt(3)
 """Of L, a and b: at full weight of lightness a class is spent on the shadows of what is one ground."""
 _SCALE_WEIGHTS = (0.8, 1.0, 1.4, 1.0)
 """Of four wavelengths, ascending: the shortest holds the noise of the camera, the third most of the ground."""
@@ -79,17 +79,17 @@ def cluster(
     points = _points(sample, settings)
     _refuse_too_few(points, classes)
     centroids, labels = kmeans(_thinned(points, MAX_POINTS, seed), classes, seed)
-    if len(labels) < len(points) or settings.discriminates:
+    if len(labels) < len(points):
         labels = distances(points, centroids).argmin(axis=0)
+    counts = np.bincount(labels, minlength=classes)
+    if counts.min() == 0:
+        raise ArgumentError(f"only {np.count_nonzero(counts)} distinct textures, K={classes} asked")
     if settings.discriminates:
         transform, means = discriminant(sample.values, labels, pure(sample.tiles, labels), classes)
         centroids = _product(means - mean, transform)
         coordinates = _product(sample.values - mean, transform)
     else:
-        transform, coordinates = _transform(sample.values - mean, settings), points
-    counts = np.bincount(labels, minlength=classes)
-    if counts.min() == 0:
-        raise ArgumentError(f"only {np.count_nonzero(counts)} distinct textures, K={classes} asked")
+        transform, coordinates = _whitening(sample.values - mean), points
     mean_rgb = _class_means(sample.rgb, labels, classes)
     roughness = _class_means(sample.roughness[:, None], labels, classes)[:, 0]
     order = np.lexsort((roughness, mean_rgb @ np.array([0.299, 0.587, 0.114])))
@@ -102,8 +102,14 @@ def cluster(
         share=counts[order] / len(labels),
         mean_rgb=np.clip(mean_rgb[order], 0, 255),
         roughness=roughness[order],
-        radius=class_radius(coordinates, centroids, labels)[order],
+        radius=_radius_on_plain_ground(coordinates, centroids, sample.plain)[order],
     )
+
+
+def _radius_on_plain_ground(coordinates: F64, centroids: F64, plain: NDArray[np.bool_]) -> F64:
+    """Return the radius of each class among the plain patches that are nearest to it."""
+    chosen = coordinates[plain] if plain.any() else coordinates
+    return class_radius(chosen, centroids, distances(chosen, centroids).argmin(axis=0))
 
 
 def consider(sample: Sample, settings: FeatureSettings, seed: int) -> dict[int, float]:
@@ -208,13 +214,16 @@ def _product(left: F64, right: F64) -> F64:
 
 def _points(sample: Sample, settings: FeatureSettings) -> F64:
     """Return the coordinates in which K-means finds the classes [patches, coordinates]."""
+    values = sample.values
     if settings.discriminates:
         values = np.concatenate([one.patches for one in sample.tiles])
-        if values.std(axis=0).max() <= _SPREAD_FLOOR:
-            raise ArgumentError(_ONE_TEXTURE)
-        return _product(values - values.mean(axis=0), noise_whitening(sample.tiles))
-    centred = sample.values - sample.values.mean(axis=0)
-    return _product(centred, _transform(centred, settings))
+    centred = values - values.mean(axis=0)
+    if settings.features == "site":
+        return np.asarray(centred * _site_scaling(centred, settings))
+    if settings.features == "texture":
+        _scaling(centred)
+        return _product(centred, noise_whitening(sample.tiles))
+    return _product(centred, _whitening(centred))
 
 
 def _thinned(points: F64, most: int, seed: int) -> F64:
@@ -223,16 +232,19 @@ def _thinned(points: F64, most: int, seed: int) -> F64:
     return points[np.sort(np.random.default_rng(seed).choice(len(points), most, replace=False))]
 
 
-def _transform(centred: F64, settings: FeatureSettings) -> F64:
-    """Return the matrix from centred features to coordinates in which K-means' distance is fair."""
+def _scaling(centred: F64) -> F64:
+    """Return the factors that give channels unit spread."""
     spread = centred.std(axis=0)
     scale = np.where(spread > _SPREAD_FLOOR, 1 / np.maximum(spread, _SPREAD_FLOOR), 0.0)
     if not scale.any():
         raise ArgumentError(_ONE_TEXTURE)
+    return np.asarray(scale)
+
+
+def _site_scaling(centred: F64, settings: FeatureSettings) -> F64:
+    """Return the factors of colour and texture channels with which K-means' distance is fair."""
     _, texture = settings.block_sizes
-    if settings.features == "site":
-        return np.diag(scale * np.concatenate([_COLOUR_WEIGHTS, _scale_weights(settings, texture)]))
-    return _whitening(centred * scale) * scale
+    return np.asarray(_scaling(centred) * np.concatenate([_COLOUR_WEIGHTS, _scale_weights(settings, texture)]))
 
 
 def _scale_weights(settings: FeatureSettings, channels: int) -> F64:
@@ -243,18 +255,23 @@ def _scale_weights(settings: FeatureSettings, channels: int) -> F64:
     return np.asarray(weights / np.sqrt((weights**2).sum()))
 
 
-def _whitening(scaled: F64) -> F64:
-    """Return PCA whitening of standardised channels, without directions that hardly vary."""
+def _whitening(centred: F64) -> F64:
+    """Return PCA whitening of channels, standardised first, without directions that hardly vary."""
+    scale = _scaling(centred)
+    scaled = centred * scale
     values, vectors = np.linalg.eigh(_product(scaled.T, scaled.T) / len(scaled))
     kept = values > 1e-3 * values.max()
     # An eigenvector's sign is arbitrary; the largest component is made positive.
     chosen = vectors[:, kept]
     signs = np.sign(chosen[np.abs(chosen).argmax(axis=0), np.arange(chosen.shape[1])])
-    whitening: F64 = (chosen * signs / np.sqrt(values[kept])).T
+    whitening: F64 = (chosen * signs / np.sqrt(values[kept])).T * scale
     return whitening
 
 
 def _refuse_too_few(coordinates: F64, classes: int) -> None:
+    # Few are enough to see that there are enough; sorting all of them takes time.
+    if _distinct(coordinates[:: max(1, len(coordinates) // _CONSIDERED_PATCHES)]) >= classes:
+        return
     distinct = _distinct(coordinates)
     if distinct < classes:
         raise ArgumentError(f"only {distinct} distinct textures, K={classes} asked: ask for fewer classes")

@@ -29,8 +29,12 @@ _PLAIN = 0.25
 """Purity from which on a cell counts as plain ground."""
 _PURITY_FLOOR = 1e-3
 """Where all is border, all counts alike."""
-_CHROMA_KNEE = 12.0
+_CHROMA_KNEE = 24.0
 """a and b are linear below this and logarithmic above: greys are told apart by little chroma."""
+_FIT_LIT_LAB, _LIT_LAB = 14.0, 30.0
+"""Lightness that multiplies a cell's weight in its window's colour by e, in the window of the fit and in the narrow
+one: the colour of a ground is that of its lit parts, for shadow has little of it and noise."""
+_WHITE_LAB = 100.0
 _CROSS_FLOOR = 1e-3
 _LARGEST_INVERSE = 1e-3
 
@@ -111,9 +115,17 @@ class Windows:
         return max(texture, colour, 1)
 
     @cached_property
+    def _fit_colour_taps(self) -> Taps:
+        return self._taps(self.settings.fit_sigma_m / 2)
+
+    @cached_property
     def fit_halo_cells(self) -> tuple[int, int]:
         """Cells that are needed around the cells wanted, along rows and columns, for `wide`."""
-        return len(self._fit_taps[0]) - 1, len(self._fit_taps[1]) - 1
+        rows, cols = (len(taps) - 1 for taps in self._fit_taps)
+        if self.settings.features != "site":
+            return rows, cols
+        by_rows, by_cols = (len(taps) - 1 + _BORDER_CELLS for taps in self._fit_colour_taps)
+        return rows + by_rows, cols + by_cols
 
     def patches(self, cells: F32) -> Patches:
         """Return the features of every cell but the halo.
@@ -125,13 +137,12 @@ class Windows:
         """
         share, log_amplitude = cells[SHARE], cells[TEXTURE]
         if self.settings.features == "site":
-            colour, weights = self._site_colour(cells[COLOUR], share)
+            colour, averaged, plain = _site(cells, self._colour_taps, self._texture_taps, _LIT_LAB)
         else:
-            colour, weights = self._hues(cells[COLOUR], share), share
-        if self.settings.discriminates:
-            averaged = self._harmonic(log_amplitude, weights)
-        else:
-            averaged = self._averaged(log_amplitude, weights, self._texture_taps)
+            colour = self._hues(cells[COLOUR], share)
+            average = self._harmonic if self.settings.features == "texture" else self._averaged
+            averaged = average(log_amplitude, share, self._texture_taps)
+            plain = np.ones(averaged.shape[1:], np.bool_)
         texture = self._channels(averaged)
         inner = _inner(share, self.halo_cells)
         usable = share >= np.float32(0.5)
@@ -140,50 +151,34 @@ class Windows:
             rgb=cells[COLOUR][:, *inner],
             roughness=texture[0],
             share=np.ascontiguousarray(share[inner]),
-            plain=self._inside(weights, share[inner].shape) >= np.float32(_PLAIN) * share[inner],
+            plain=plain,
             usable=usable[inner],
             defined=_dilate(usable)[inner],
         )
 
     def wide(self, cells: F32) -> F32:
-        """Return the texture channels in the window of the fit, of every cell but `fit_halo_cells`."""
+        """Return the features in the window of the fit, of every cell but `fit_halo_cells`; without hues."""
+        if self.settings.features == "site":
+            colour, averaged, _ = _site(cells, self._fit_colour_taps, self._fit_taps, _FIT_LIT_LAB)
+            return np.concatenate([colour, self._channels(averaged)[1:]])
         averaged, _ = smooth(np.ascontiguousarray(cells[TEXTURE]), cells[SHARE], *self._fit_taps)
         return self._channels(averaged)[1:]
 
-    def _inside(self, values: F32, shape: tuple[int, ...]) -> F32:
-        return values[_inner(values, ((values.shape[0] - shape[0]) // 2, (values.shape[1] - shape[1]) // 2))]
-
     def _averaged(self, values: F32, weights: F32, taps: Taps) -> F32:
-        """Average over a window; `values` and `weights` [.., rows, cols] may have more around than it needs."""
+        """Average over a window; there may be more around than it needs."""
         rows, cols = (self.halo_cells[axis] - (len(taps[axis]) - 1) for axis in (0, 1))
-        spare = tuple((values.shape[1 + axis] - weights.shape[axis]) // 2 for axis in (0, 1))
-        inside = np.ascontiguousarray(values[(slice(None), *_inner(values[0], (rows, cols)))])
-        around = (rows - spare[0], cols - spare[1])
-        return smooth(inside, np.ascontiguousarray(weights[_inner(weights, around)]), *taps)[0]
+        inner = _inner(weights, (rows, cols))
+        inside = np.ascontiguousarray(values[(slice(None), *inner)])
+        return smooth(inside, np.ascontiguousarray(weights[inner]), *taps)[0]
 
-    def _harmonic(self, log_amplitude: F32, weights: F32) -> F32:
+    def _harmonic(self, log_amplitude: F32, weights: F32, taps: Taps) -> F32:
         """Return the log of the harmonic mean amplitude.
 
         A strong texture spills over a border through the filters' envelope, and the logarithm makes the spill wide;
         the harmonic mean leans to the weak side and takes it back.
         """
-        mean = self._averaged(np.exp(-log_amplitude), weights, self._texture_taps)
+        mean = self._averaged(np.exp(-log_amplitude), weights, taps)
         return -np.log(np.maximum(mean, np.float32(_LARGEST_INVERSE)))
-
-    def _site_colour(self, mean: F32, share: F32) -> tuple[F32, F32]:
-        """Return the colour channels, and the weights of cells in the texture window.
-
-        The weights are the shares of valid pixels times the cells' purity: a cell beside a border of colours counts
-        little, so that its neighbours take their texture from plain ground, mostly on their own side of it.
-        """
-        smoothed, _ = smooth(lab(mean), share, *self._colour_taps)
-        reach = len(self._colour_taps[0]) - 1, len(self._colour_taps[1]) - 1
-        weights = _purity(smoothed, np.ascontiguousarray(share[_inner(share, reach)]))
-        rows, cols = (self.halo_cells[axis] - reach[axis] for axis in (0, 1))
-        colour = smoothed[(slice(None), *_inner(smoothed[0], (rows, cols)))].copy()
-        knee = np.float32(_CHROMA_KNEE)
-        colour[1:] = np.arcsinh(colour[1:] / knee) * knee
-        return colour, weights
 
     def _hues(self, mean: F32, share: F32) -> F32:
         """Return the hue histogram, or no channel where colour does not count."""
@@ -211,6 +206,32 @@ class Windows:
 
 def _inner(values: NDArray[np.generic], halo: tuple[int, int]) -> tuple[slice, slice]:
     return slice(halo[0], values.shape[0] - halo[0]), slice(halo[1], values.shape[1] - halo[1])
+
+
+def _site(cells: F32, colour_taps: Taps, texture_taps: Taps, lit_lab: float) -> tuple[F32, F32, NDArray[np.bool_]]:
+    """Return the colour channels and the averaged log amplitudes of a site, and which cells are plain ground.
+
+    They are smaller by what the windows need.
+
+    Colour is that of a window's lit cells. In the window of the texture cells count by their shares of valid pixels
+    times their purity: one beside a border of colours counts little, so that its neighbours take their texture from
+    plain ground, mostly on their own side of it.
+    """
+    share, colours = cells[SHARE], lab(cells[COLOUR])
+    lit = share * np.exp((colours[0] - np.float32(_WHITE_LAB)) / np.float32(lit_lab))
+    smoothed, _ = smooth(colours, lit, *colour_taps)
+    # Borders are those of all cells: beside a bright one the lit colour steps late.
+    plain, _ = smooth(colours, share, *colour_taps)
+    reach = len(colour_taps[0]) - 1, len(colour_taps[1]) - 1
+    weights = _purity(plain, np.ascontiguousarray(share[_inner(share, reach)]))
+    inner = _inner(share, (reach[0] + _BORDER_CELLS, reach[1] + _BORDER_CELLS))
+    averaged, _ = smooth(np.ascontiguousarray(cells[TEXTURE][(slice(None), *inner)]), weights, *texture_taps)
+    rows, cols = (len(taps) - 1 + _BORDER_CELLS for taps in texture_taps)
+    colour = smoothed[(slice(None), *_inner(smoothed[0], (rows, cols)))].copy()
+    knee = np.float32(_CHROMA_KNEE)
+    colour[1:] = np.arcsinh(colour[1:] / knee) * knee
+    middle = _inner(weights, (len(texture_taps[0]) - 1, len(texture_taps[1]) - 1))
+    return colour, averaged, weights[middle] >= np.float32(_PLAIN) * share[inner][middle]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

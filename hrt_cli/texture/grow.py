@@ -15,6 +15,8 @@ MIN_SHARE = 0.01
 """A texture must hold this share of a survey to be a class; ten times what lies outside the radii by chance."""
 MAX_NEW = 8
 """New classes that one survey may bring."""
+_SLACK = 1.2
+"""A class of few patches may reach so much further than the widest old one by chance."""
 
 F64 = NDArray[np.float64]
 
@@ -82,6 +84,6 @@ def _fewest(points: F64, widest: float, seed: int) -> tuple[F64, NDArray[np.int6
     distinct = len(np.unique(points.round(3), axis=0))
     for count in range(1, min(MAX_NEW, distinct) + 1):
         centroids, labels = kmeans(points, count, seed)
-        if class_radius(points, centroids, labels).max() <= widest:
+        if class_radius(points, centroids, labels).max() <= _SLACK * widest:
             break
     return centroids, labels

@@ -29,9 +29,8 @@ from hrt_cli.texture.vote import halo_cells, vote
 SAMPLE_TILE_PX = 512
 """Side of the tiles that the sample is drawn from; fixed, so that the sample depends on the seed alone."""
 MAX_SAMPLE_TILES = 64
-MAX_WHOLE_TILES = 16
-"""Where neighbours count, tiles are taken whole, and fewer of them."""
 MAX_SAMPLE = 40_000
+"""Patches in all, unless neighbours count: then tiles are taken whole."""
 STRIP_PX = 4096
 """Blocks of a row are worked on together up to this width."""
 _LOOK_AHEAD = 2
@@ -144,8 +143,6 @@ def draw_sample(cells: Cells, seed: int) -> Sample:
     tiles = list(blocks(cells.shape, SAMPLE_TILE_PX, cells.anchor))
     order = np.random.default_rng(seed).permutation(len(tiles))
     wanted = min(len(tiles), MAX_SAMPLE_TILES)
-    if cells.settings.discriminates:
-        wanted = min(wanted, MAX_WHOLE_TILES)
     quota = -(-MAX_SAMPLE // wanted)
     parts: list[Sample] = []
     for index in order:
@@ -224,7 +221,7 @@ def halo_px(settings: FeatureSettings, pixel_m: tuple[float, float]) -> tuple[in
     """Return how far from a pixel others can change its class, along rows and columns."""
     gauge = Gauge(settings, pixel_m)
     halo = Windows(settings, pixel_m, gauge.step_px).halo_cells
-    votes = halo_cells() if settings.discriminates else 0
+    votes = halo_cells(settings.votes) if settings.discriminates else 0
     rows, cols = ((gauge.reach_cells[axis] + halo[axis] + votes + 2) * gauge.step_px for axis in (0, 1))
     return rows, cols
 
@@ -275,12 +272,12 @@ def _classify(cells: Cells, windows: Windows, window: Window, linear: tuple[F32,
     if not valid.any():
         return np.full(valid.shape, NODATA, np.uint8)
     # Labels are interpolated between cells, and where cells vote, more of them are asked.
-    beside = 1 + (halo_cells() if cells.settings.discriminates else 0)
+    beside = 1 + (halo_cells(cells.settings.votes) if cells.settings.discriminates else 0)
     grid = CellGrid.covering(window, cells.anchor, cells.grid.step_px).grown(beside, beside)
     patches = windows.patches(cells.read(grid.grown(*windows.halo_cells)))
     scores = cell_scores(patches.values, *linear)
     if cells.settings.discriminates:
-        scores = vote(np.float32(TEMPERATURE / 2) * scores, patches.share)
+        scores = vote(np.float32(TEMPERATURE / 2) * scores, patches.share, cells.settings.votes)
     step = grid.step_px
     first_row = window.row + cells.anchor[0] - grid.row * step
     first_col = window.col + cells.anchor[1] - grid.col * step

@@ -22,6 +22,8 @@ class Preset:
         See `FeatureSettings`.
     samples : int
         Amplitudes taken along the side of a cell at the finest wavelength.
+    votes : int
+        Rounds in which cells vote with their neighbours.
     """
 
     wavelengths_px: tuple[float, ...]
@@ -31,12 +33,13 @@ class Preset:
     colour_sigma_px: float = 8.0
     contrast_sigma_px: float = 12.0
     samples: int = 2
+    votes: int = 1
 
 
 PRESETS = {
-    "site": Preset((4.0, 8.0, 16.0, 32.0), 4, 18.0, 18.0, colour_sigma_px=10.0),
+    "site": Preset((4.0, 8.0, 16.0, 32.0), 4, 12.0, 20.0),
     "paper": Preset((4.0, 8.0, 16.0, 32.0), 6, 16.0, 16.0),
-    "texture": Preset((2.83, 5.66, 11.3, 22.6), 6, 5.6, 20.0, samples=4),
+    "texture": Preset((2.83, 5.66, 11.3, 22.6), 6, 5.6, 20.0, samples=4, votes=3),
 }
 """Measured on sites and mosaics; see docs/method.md."""
 STEP_PX = 8
@@ -58,7 +61,7 @@ class FeatureSettings:
     texture_sigma_m : float
         Window over which energy is averaged.
     fit_sigma_m : float
-        With "texture", the wider window over which it is averaged to find the classes.
+        With "site" and "texture", the wider window over which it is averaged to find the classes; colour over half.
     colour_sigma_m, contrast_sigma_m : float
         Windows over which colour is averaged and luminance is levelled.
     step_m : float
@@ -110,7 +113,12 @@ class FeatureSettings:
     @property
     def discriminates(self) -> bool:
         """Whether classes are found in a wide window and told apart in a narrow one, cells voting."""
-        return self.features == "texture"
+        return self.features in ("site", "texture")
+
+    @property
+    def votes(self) -> int:
+        """Rounds in which cells vote with their neighbours, where they do."""
+        return PRESETS[self.features].votes
 
     @property
     def samples(self) -> int:

@@ -8,19 +8,20 @@ from numpy.typing import NDArray
 
 F32 = NDArray[np.float32]
 
-ROUNDS = 3
 _COUPLING = 4.0
 """Weight of what the neighbours say."""
 _SIGMA_CELLS, _REACH_CELLS = 1.0, 2
 _SMALLEST_SHARE = 1e-6
+_LOWEST = -40.0
+"""Logarithm of what is nothing among probabilities, and still no denormal number."""
 
 
-def halo_cells() -> int:
+def halo_cells(rounds: int) -> int:
     """Cells that are needed around the cells wanted."""
-    return (ROUNDS + 1) * _REACH_CELLS
+    return (rounds + 1) * _REACH_CELLS
 
 
-def vote(scores: F32, weights: F32) -> F32:
+def vote(scores: F32, weights: F32, rounds: int) -> F32:
     """Return what neighbours agree on: mean-field rounds of a Potts field with Gaussian coupling.
 
     Kraehenbuehl and Koltun 2011, the spatial term alone: q = softmax(−(score − coupling · blur(q))), a few times.
@@ -31,6 +32,8 @@ def vote(scores: F32, weights: F32) -> F32:
         Minus log likelihoods, up to a constant.
     weights : ndarray [rows, cols] float32 in [0, 1]
         Share of valid pixels; cells without do not vote.
+    rounds : int
+        How often neighbours are heard.
 
     Returns
     -------
@@ -42,7 +45,7 @@ def vote(scores: F32, weights: F32) -> F32:
     share = np.empty((1, *weights.shape), np.float32)
     _blur(weights[None], np.ones_like(weights), taps, share)
     q, field = np.empty_like(scores), np.zeros_like(scores)
-    for _ in range(ROUNDS + 1):
+    for _ in range(rounds + 1):
         _posterior(scores, field, np.float32(_COUPLING), weights, q)
         _blur(q, share[0], taps, field)
     return -field
@@ -57,6 +60,7 @@ def _taps() -> F32:
 def _posterior(scores: F32, field: F32, coupling: np.float32, weights: F32, out: F32) -> None:
     kinds, rows, cols = scores.shape
     least, total = np.empty(cols, np.float32), np.empty(cols, np.float32)
+    lowest = np.float32(_LOWEST)
     for r in range(rows):
         least[:] = np.float32(np.inf)
         total[:] = np.float32(0)
@@ -67,9 +71,12 @@ def _posterior(scores: F32, field: F32, coupling: np.float32, weights: F32, out:
                 least[c] = min(least[c], energy)
         for k in range(kinds):
             for c in range(cols):
-                likelihood = np.exp(least[c] - out[k, r, c])
-                out[k, r, c] = likelihood
-                total[c] += likelihood
+                # (1 + x/1024)^1024: within 1 % of exp(x) where that is not negligible, and without a branch.
+                power = np.float32(1) + max(least[c] - out[k, r, c], lowest) * np.float32(1 / 1024)
+                for _ in range(10):
+                    power *= power
+                out[k, r, c] = power
+                total[c] += power
         for c in range(cols):
             total[c] = weights[r, c] / total[c]
         for k in range(kinds):
