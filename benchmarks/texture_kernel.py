@@ -46,13 +46,13 @@ def natural_image(side: int, seed: int = 0) -> F32:
 
 def margin_cells(wavelengths: Sequence[float]) -> int:
     """Cells at the border whose answers look outside the image."""
-    reach = GaborBank(tuple(wavelengths), ORIENTATIONS).reach_px((1.0, 1.0), STEP_PX)
+    reach = GaborBank(tuple(wavelengths), ORIENTATIONS, samples=4).reach_px((1.0, 1.0), STEP_PX)
     return -(-max(reach) // STEP_PX)
 
 
 def fused_bank(image: F32, wavelengths: Sequence[float]) -> F32:
     """The bank of `hrt segment`: amplitudes of all cells but the margin."""
-    filters = GaborBank(tuple(wavelengths), ORIENTATIONS).filters((1.0, 1.0), STEP_PX)
+    filters = GaborBank(tuple(wavelengths), ORIENTATIONS, samples=4).filters((1.0, 1.0), STEP_PX)
     levels = [columns_apart(image)]
     for _ in range(max(one.level for one in filters)):
         levels.append(halve(levels[-1]))

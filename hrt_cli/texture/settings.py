@@ -33,13 +33,13 @@ class Preset:
     colour_sigma_px: float = 8.0
     contrast_sigma_px: float = 12.0
     samples: int = 2
-    votes: int = 1
+    votes: int = 3
 
 
 PRESETS = {
     "site": Preset((4.0, 8.0, 16.0, 32.0), 4, 12.0, 20.0),
     "paper": Preset((4.0, 8.0, 16.0, 32.0), 6, 16.0, 16.0),
-    "texture": Preset((2.83, 5.66, 11.3, 22.6), 6, 5.6, 20.0, samples=4, votes=3),
+    "texture": Preset((2.83, 5.66, 11.3, 22.6), 6, 5.6, 20.0, samples=4),
 }
 """Measured on sites and mosaics; see docs/method.md."""
 STEP_PX = 8

@@ -19,8 +19,8 @@ from hrt_cli.raster.windows import Window
 POLYGONS: dict[str, Any] = json.loads((Path(__file__).parent / "polygons.json").read_text(encoding="utf-8"))
 """A site, which is a file or a folder of tiles (tile -> ...) -> label -> polygons as (column, row) pixels.
 
-Labels name what can be told from above at the scale of a patch: at SJER the road and bare slabs are one pale ground, and
-what is narrower than about 25 pixels (stones, the tyre track of the savanna) has none.
+Labels name what can be told from above at the scale of a patch: at SJER the road and bare slabs are one pale ground,
+and what is narrower than about 25 pixels (stones, the tyre track of the savanna) has none.
 """
 GAP_PX = 64
 """Tiles are laid beside one another with so much nodata between them."""
