@@ -13,8 +13,6 @@ from hrt_cli import __version__
 from hrt_cli.artifacts.jsonio import Document, canonical
 from hrt_cli.errors import InputError
 
-_CHUNK = 4 * 2**20
-
 
 class InputRecord(Document):
     """One input: its bare name (never its folder: artifacts do not depend on where they were made) and bytes."""
@@ -48,14 +46,11 @@ class Provenance(Document):
 
 def file_sha256(path: Path) -> str:
     """Hash a file's bytes in constant memory."""
-    digest = hashlib.sha256()
     try:
-        with open(path, "rb", buffering=0) as file:
-            while chunk := file.read(_CHUNK):
-                digest.update(chunk)
+        with open(path, "rb") as file:
+            return hashlib.file_digest(file, "sha256").hexdigest()
     except OSError as error:
         raise InputError(path, f"cannot be read: {error.strerror or error}") from error
-    return digest.hexdigest()
 
 
 def record(stage: str, stage_version: int, parameters: dict[str, Any], inputs: dict[str, Path]) -> Provenance:

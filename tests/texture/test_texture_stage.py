@@ -310,11 +310,12 @@ class TestCutting:
         crop = write_raster(tmp_path / "crop.tif", site()[:, top:, left:], transform=at(top, left), nodata=0)
         hrt("segment", crop, "-o", tmp_path / "c.tif", "--model", fitted[1])
         rows, cols = halo_px(read_model(fitted[1]).settings, (PIXEL_M, PIXEL_M))
-        assert 0 < rows < 200
+        assert 0 < rows < 300
         part, whole = classes_of(tmp_path / "c.tif"), classes_of(fitted[0])[top:, left:]
-        # The scale of UTM at the middle of the crop is another one in the ninth digit, which may break a tie.
-        assert (part[rows:, cols:] != whole[rows:, cols:]).mean() < 1e-4
-        assert (part == whole).mean() > 0.99
+        # The scale of UTM at the middle of the crop is another one in the ninth digit; the model's counts.
+        assert part[rows:, cols:].size > 50_000
+        assert np.array_equal(part[rows:, cols:], whole[rows:, cols:])
+        assert (part == whole).mean() > 0.97
 
     def test_an_area_of_interest_masks_before_anything_is_measured(
         self, hrt: Program, ortho: Path, fitted: tuple[Path, Path], tmp_path: Path
