@@ -21,6 +21,7 @@ from skimage.filters import gabor, gabor_kernel
 from tables import Effort, Table, cpu_seconds
 
 from hrt_cli.texture.bank import KERNEL_REACH, SIGMA_OVER_LAMBDA, GaborBank, amplitudes, columns_apart, halve
+from hrt_cli.texture.settings import PRESETS
 
 WAVELENGTHS_PX = (4.0, 8.0, 16.0, 32.0)
 SHORT_WAVELENGTHS_PX = (4.0, 8.0, 16.0)
@@ -50,15 +51,15 @@ def margin_cells(wavelengths: Sequence[float]) -> int:
     return -(-max(reach) // STEP_PX)
 
 
-def fused_bank(image: F32, wavelengths: Sequence[float]) -> F32:
+def fused_bank(image: F32, wavelengths: Sequence[float], orientations: int = ORIENTATIONS, samples: int = 4) -> F32:
     """The bank of `hrt segment`: amplitudes of all cells but the margin."""
-    filters = GaborBank(tuple(wavelengths), ORIENTATIONS, samples=4).filters((1.0, 1.0), STEP_PX)
+    filters = GaborBank(tuple(wavelengths), orientations, samples=samples).filters((1.0, 1.0), STEP_PX)
     levels = [columns_apart(image)]
     for _ in range(max(one.level for one in filters)):
         levels.append(halve(levels[-1]))
     margin = margin_cells(wavelengths)
     rows, cols = (side // STEP_PX - 2 * margin for side in image.shape)
-    out = np.empty((len(filters), ORIENTATIONS, rows, cols), np.float32)
+    out = np.empty((len(filters), orientations, rows, cols), np.float32)
     for one, answer in zip(filters, out, strict=True):
         per_cell = STEP_PX >> one.level
         amplitudes(levels[one.level], one, (margin * per_cell, margin * per_cell), per_cell, answer)
@@ -177,6 +178,10 @@ def speed_kernel(effort: Effort) -> list[Table]:
         cpu_s, _ = cpu_seconds(lambda image=image, w=wavelengths: fused_bank(image, w), repeats=15)
         ours[wavelengths] = effort.bank_px**2 / 1e6 / cpu_s
         rows.append(_row("hrt", _span(wavelengths), effort.bank_px, cpu_s, ours[wavelengths], None))
+    image = natural_image(effort.bank_px + 2 * STEP_PX * margin_cells(WAVELENGTHS_PX))
+    site = PRESETS["site"]
+    cpu_s, _ = cpu_seconds(lambda: fused_bank(image, WAVELENGTHS_PX, site.orientations, site.samples), repeats=15)
+    rows.append(_row("hrt, as for sites", _span(WAVELENGTHS_PX), effort.bank_px, cpu_s, ours[WAVELENGTHS_PX], None))
 
     spectra = kernel_spectra((effort.slow_px, effort.slow_px), WAVELENGTHS_PX)
     others: list[tuple[str, int, Sequence[float], Bank]] = [
@@ -195,6 +200,7 @@ def speed_kernel(effort: Effort) -> list[Table]:
     notes = [
         f"{ORIENTATIONS} orientations, energies every {STEP_PX} px, one thread; correlation: of patch energies with "
         "hrt's, the lowest of the wavelengths.",
+        f"As for sites: {site.orientations} orientations, {site.samples} amplitudes along a cell.",
     ]
     if shutil.which(ORFEO):
         rows += orfeo_rows(effort.bank_px, ours[WAVELENGTHS_PX])
