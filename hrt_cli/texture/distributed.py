@@ -137,7 +137,8 @@ def sweep_on(address: str, recipe: Recipe) -> Callable[[Cells, int, Progress], N
     def fill(cells: Cells, rows_px: int, progress: Progress) -> None:
         try:
             client = Client(address, timeout=CONNECT_S, set_as_default=False)
-        except (OSError, ValueError) as error:
+        # An assertion is what Dask fails with where its event loop is slow to start.
+        except (OSError, ValueError, AssertionError) as error:
             raise ClusterError(f"--dask {address}: no Dask scheduler answers there") from error
         with client:
             try:
