@@ -35,7 +35,7 @@ def grow(model: TextureModel, sample: Sample, seed: int) -> TextureModel:
 
     Centroids, scaling and radii of the old classes stay as they are, so a patch that lies near an old class keeps its
     id, and the scores that a robot has learnt for that class stay true. The new ones are found by K-means among the
-    novel patches alone, with the fewest classes of which none is wider than the widest old class.
+    novel patches alone, with the fewest classes of which none is much wider than the widest old class.
 
     Parameters
     ----------
