@@ -8,6 +8,7 @@ they are as short as the short ones; the gain of the halving is divided out of t
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -25,7 +26,7 @@ SHORTEST_ON_LEVEL_PX = 2.8
 MIN_WAVELENGTH_PX = 2.5
 """Below this a wavelength is not resolved."""
 _MAX_STRIDE = 4
-_GROUP = 8
+_GROUP = 4
 """Taps a pass takes at once; kernels are padded to whole groups."""
 _LEVEL_TOLERANCE = 0.01
 _NO_FREQUENCY = 1e-12
@@ -256,147 +257,178 @@ def amplitudes(image: F32, filters: Filters, origin: tuple[int, int], per_cell: 
     """
     if filters.stride == 1:
         image = np.ascontiguousarray(image.transpose(1, 2, 0)).reshape(1, image.shape[1], -1)
-    _amplitude_cells(
-        image, origin[0], origin[1], per_cell // filters.stride, filters.stride,
+    _AMPLITUDE_CELLS[filters.stride](
+        image, origin[0], origin[1], per_cell // filters.stride,
         filters.row_even, filters.row_odd, filters.col_even, filters.col_odd,
         filters.col_envelope, filters.dc, filters.first, filters.second, out,
     )  # fmt: skip
 
 
-@njit(cache=True, nogil=True, fastmath={"contract"})
-def _combine(
-    acc: F32, base: F32, weight: np.float32, sign: np.float32, taps: F32,
-    a1: F32, a2: F32, a3: F32, a4: F32, a5: F32, a6: F32, a7: F32, a8: F32,
-    b1: F32, b2: F32, b3: F32, b4: F32, b5: F32, b6: F32, b7: F32, b8: F32,
+@njit(cache=True, nogil=True, forceinline=True, fastmath={"contract"})
+def _first_taps(
+    even: F32, odd: F32, line: F32, even_taps: F32, odd_taps: F32,
+    a0: F32, a1: F32, a2: F32, a3: F32, b0: F32, b1: F32, b2: F32, b3: F32,
 ) -> None:  # fmt: skip
-    """Set `acc` to weight · base + Σ taps · (a + sign · b): eight folded taps in one sweep."""
-    w1, w2, w3, w4, w5, w6, w7, w8 = taps[0], taps[1], taps[2], taps[3], taps[4], taps[5], taps[6], taps[7]
-    for x in range(acc.shape[0]):
-        acc[x] = (
-            weight * base[x]
-            + w1 * (a1[x] + sign * b1[x]) + w2 * (a2[x] + sign * b2[x])
-            + w3 * (a3[x] + sign * b3[x]) + w4 * (a4[x] + sign * b4[x])
-            + w5 * (a5[x] + sign * b5[x]) + w6 * (a6[x] + sign * b6[x])
-            + w7 * (a7[x] + sign * b7[x]) + w8 * (a8[x] + sign * b8[x])
-        )  # fmt: skip
+    """Set `even` to tap 0 · line + Σ even_taps · (a + b), and `odd` to Σ odd_taps · (a − b), in one sweep.
+
+    Four taps of both kernels are as many as the registers hold.
+    """
+    middle, e0, e1, e2, e3 = even_taps[0], even_taps[1], even_taps[2], even_taps[3], even_taps[4]
+    o0, o1, o2, o3 = odd_taps[1], odd_taps[2], odd_taps[3], odd_taps[4]
+    for x in range(even.shape[0]):
+        # All is read before anything is written: the compiler cannot know that the lines do not overlap.
+        p0, p1, p2, p3, q0, q1, q2, q3 = a0[x], a1[x], a2[x], a3[x], b0[x], b1[x], b2[x], b3[x]
+        alike = middle * line[x] + e0 * (p0 + q0) + e1 * (p1 + q1) + e2 * (p2 + q2) + e3 * (p3 + q3)
+        opposite = o0 * (p0 - q0) + o1 * (p1 - q1) + o2 * (p2 - q2) + o3 * (p3 - q3)
+        even[x], odd[x] = alike, opposite
 
 
-@njit(cache=True, nogil=True)
-def _row_pass(p: F32, r: int, taps: F32, sign: np.float32, acc: F32) -> None:
-    """Filter row `r` of a plane along the rows axis; `sign` is 1 for an even kernel, −1 for an odd one."""
-    base, weight = p[r], taps[0]
-    for t in range(1, taps.shape[0], 8):
-        _combine(
-            acc, base, weight, sign, taps[t : t + 8],
-            p[r + t], p[r + t + 1], p[r + t + 2], p[r + t + 3],
-            p[r + t + 4], p[r + t + 5], p[r + t + 6], p[r + t + 7],
-            p[r - t], p[r - t - 1], p[r - t - 2], p[r - t - 3],
-            p[r - t - 4], p[r - t - 5], p[r - t - 6], p[r - t - 7],
-        )  # fmt: skip
-        base, weight = acc, np.float32(1)
-
-
-@njit(cache=True, nogil=True)
-def _shifted(lines: F32, column: int, count: int) -> F32:
-    """Every stride-th sample from `column` on, out of a line kept as one plane per phase."""
-    stride = lines.shape[0]
-    start = column // stride
-    return lines[column % stride, start : start + count]
-
-
-@njit(cache=True, nogil=True)
-def _col_pass(p: F32, c: int, taps: F32, sign: np.float32, acc: F32) -> None:
-    """Filter a line along the columns axis, at every stride-th sample from `c` on."""
-    n = acc.shape[0]
-    base, weight = _shifted(p, c, n), taps[0]
-    for t in range(1, taps.shape[0], 8):
-        _combine(
-            acc, base, weight, sign, taps[t : t + 8],
-            _shifted(p, c + t, n), _shifted(p, c + t + 1, n), _shifted(p, c + t + 2, n), _shifted(p, c + t + 3, n),
-            _shifted(p, c + t + 4, n), _shifted(p, c + t + 5, n), _shifted(p, c + t + 6, n), _shifted(p, c + t + 7, n),
-            _shifted(p, c - t, n), _shifted(p, c - t - 1, n), _shifted(p, c - t - 2, n), _shifted(p, c - t - 3, n),
-            _shifted(p, c - t - 4, n), _shifted(p, c - t - 5, n), _shifted(p, c - t - 6, n), _shifted(p, c - t - 7, n),
-        )  # fmt: skip
-        base, weight = acc, np.float32(1)
+@njit(cache=True, nogil=True, forceinline=True, fastmath={"contract"})
+def _further_taps(
+    even: F32, odd: F32, even_taps: F32, odd_taps: F32,
+    a0: F32, a1: F32, a2: F32, a3: F32, b0: F32, b1: F32, b2: F32, b3: F32,
+) -> None:  # fmt: skip
+    """Add Σ even_taps · (a + b) to `even` and Σ odd_taps · (a − b) to `odd`, in one sweep."""
+    e0, e1, e2, e3 = even_taps[0], even_taps[1], even_taps[2], even_taps[3]
+    o0, o1, o2, o3 = odd_taps[0], odd_taps[1], odd_taps[2], odd_taps[3]
+    for x in range(even.shape[0]):
+        p0, p1, p2, p3, q0, q1, q2, q3 = a0[x], a1[x], a2[x], a3[x], b0[x], b1[x], b2[x], b3[x]
+        alike = even[x] + e0 * (p0 + q0) + e1 * (p1 + q1) + e2 * (p2 + q2) + e3 * (p3 + q3)
+        opposite = odd[x] + o0 * (p0 - q0) + o1 * (p1 - q1) + o2 * (p2 - q2) + o3 * (p3 - q3)
+        even[x], odd[x] = alike, opposite
 
 
 @njit(cache=True, nogil=True, fastmath={"contract"})
-def _magnitude(ee: F32, oo: F32, eo: F32, oe: F32, blur: F32, dc: np.float32, sign: np.float32, out: F32) -> None:
-    """Amplitude of the filter at theta (sign 1) or pi − theta (sign −1) from the four products of passes."""
+def _row_pass(p: F32, r: int, even_taps: F32, odd_taps: F32, even: F32, odd: F32) -> None:
+    """Filter row `r` of a plane along the rows axis with an even and an odd kernel."""
+    a, b = p[r + 1 : r + 5], p[r - 4 : r]
+    _first_taps(even, odd, p[r], even_taps, odd_taps, a[0], a[1], a[2], a[3], b[3], b[2], b[1], b[0])
+    for t in range(1 + _GROUP, even_taps.shape[0], _GROUP):
+        a, b = p[r + t : r + t + _GROUP], p[r - t - _GROUP + 1 : r - t + 1]
+        _further_taps(even, odd, even_taps[t:], odd_taps[t:], a[0], a[1], a[2], a[3], b[3], b[2], b[1], b[0])
+
+
+def _column_pass(stride: int) -> Callable[[F32, int, F32, F32, F32, F32], None]:
+    """Make the function that filters a line along the columns axis, at every stride-th sample from `c` on.
+
+    The line is kept as one row per phase [stride, ...], and `c` is a multiple of the stride. With the stride known
+    the taps stand at fixed places, and the processor has `stride` addresses to keep, not eight.
+    """
+    near, middle, far = (1 // stride, 2 // stride, 3 // stride)
+    whole = _GROUP // stride
+
+    @njit(cache=True, nogil=True, fastmath={"contract"})
+    def column_pass(p: F32, c: int, even_taps: F32, odd_taps: F32, even: F32, odd: F32) -> None:
+        n = even.shape[0]
+        i, j = c // stride, c // stride - whole
+        zero, one, two, three = p[0], p[1 % stride], p[2 % stride], p[3 % stride]
+        _first_taps(
+            even, odd, zero[i : i + n], even_taps, odd_taps,
+            one[i + near : i + near + n], two[i + middle : i + middle + n],
+            three[i + far : i + far + n], zero[i + whole : i + whole + n],
+            three[j + far : j + far + n], two[j + middle : j + middle + n],
+            one[j + near : j + near + n], zero[j : j + n],
+        )  # fmt: skip
+        for _ in range(1 + _GROUP, even_taps.shape[0], _GROUP):
+            i, j = i + whole, j - whole
+            even_taps, odd_taps = even_taps[_GROUP:], odd_taps[_GROUP:]
+            _further_taps(
+                even, odd, even_taps[1:], odd_taps[1:],
+                one[i + near : i + near + n], two[i + middle : i + middle + n],
+                three[i + far : i + far + n], zero[i + whole : i + whole + n],
+                three[j + far : j + far + n], two[j + middle : j + middle + n],
+                one[j + near : j + near + n], zero[j : j + n],
+            )  # fmt: skip
+
+    return column_pass
+
+
+@njit(cache=True, nogil=True, fastmath={"contract"})
+def _add_magnitude(ee: F32, oo: F32, eo: F32, oe: F32, blur: F32, dc: np.float32, sign: np.float32, out: F32) -> None:
+    """Add the amplitude of the filter at theta (sign 1) or pi − theta (sign −1), from the four products of passes."""
     for x in range(out.shape[0]):
         real = ee[x] - sign * oo[x] - dc * blur[x]
         imag = eo[x] + sign * oe[x]
-        out[x] = np.sqrt(real * real + imag * imag)
+        out[x] += np.sqrt(real * real + imag * imag)
 
 
 @njit(cache=True, nogil=True)
-def _add_cells(line: F32, samples: int, share: np.float32, out: F32) -> None:
-    if samples == 1:
-        for cell in range(out.shape[0]):
-            out[cell] += share * line[cell]
-    elif samples == 2:
-        for cell in range(out.shape[0]):
-            out[cell] += share * (line[2 * cell] + line[2 * cell + 1])
+def _cell_means(line: F32, samples: int, share: np.float32, out: F32) -> None:
+    for cell in range(out.shape[0]):
+        total = np.float32(0)
+        for s in range(samples):
+            total += line[cell * samples + s]
+        out[cell] = share * total
+
+
+@njit(cache=True, nogil=True)
+def _deal(line: F32, phase: int, phases: int, out: F32) -> None:
+    """Deal the samples of a line out in turn to every `phases`-th row of `out`, from row `phase` on."""
+    turns, count = out.shape[0] // phases, line.shape[0]
+    if turns == 1:
+        only = out[phase]
+        for c in range(count):
+            only[c] = line[c]
+    elif turns == 2:
+        first, second = out[phase], out[phase + phases]
+        for c in range(count // 2):
+            first[c] = line[2 * c]
+            second[c] = line[2 * c + 1]
+        if count % 2:
+            first[count // 2] = line[count - 1]
     else:
-        for cell in range(out.shape[0]):
-            total = np.float32(0)
-            for s in range(samples):
-                total += line[cell * samples + s]
-            out[cell] += share * total
+        for turn in range(turns):
+            row = out[phase + turn * phases]
+            for c in range((count - turn + turns - 1) // turns):
+                row[c] = line[c * turns + turn]
 
 
-@njit(cache=True, nogil=True)
-def _deal(line: F32, out: F32) -> None:
-    """Deal the samples of a line out to the rows of `out` [turns, ...] in turn."""
-    turns = out.shape[0]
-    for turn in range(turns):
-        row = out[turn]
-        for c in range((line.shape[0] - turn + turns - 1) // turns):
-            row[c] = line[c * turns + turn]
+def _amplitude_cells_at(stride: int) -> Callable[..., None]:
+    column_pass = _column_pass(stride)
+
+    @njit(cache=True, nogil=True)
+    def amplitude_cells(
+        planes: F32, top: int, left: int, samples: int,
+        row_even: F32, row_odd: F32, col_even: F32, col_odd: F32, col_envelope: F32, dc: F32,
+        first: NDArray[np.int64], second: NDArray[np.int64], out: F32,
+    ) -> None:  # fmt: skip
+        phases, rows, width = planes.shape
+        frequencies, n = first.shape[0], out.shape[2] * samples
+        share = np.float32(1.0 / (samples * samples))
+        plus, minus = np.float32(1), np.float32(-1)
+        turns = stride // phases
+        shorter = -(-width // turns)
+        passed_even, passed_odd = np.zeros(width, np.float32), np.zeros(width, np.float32)
+        even = np.zeros((frequencies, stride, shorter), np.float32)
+        odd = np.zeros((frequencies, stride, shorter), np.float32)
+        nothing = np.zeros(col_envelope.shape[0], np.float32)
+        blur, ee, eo = np.zeros(n, np.float32), np.zeros(n, np.float32), np.zeros(n, np.float32)
+        oe, oo, spare = np.zeros(n, np.float32), np.zeros(n, np.float32), np.zeros(n, np.float32)
+        lines = np.zeros((out.shape[0], n), np.float32)
+        for cell_row in range(out.shape[1]):
+            lines[:] = np.float32(0)
+            for sample_row in range(cell_row * samples, (cell_row + 1) * samples):
+                r = top + sample_row * stride
+                for phase in range(phases):
+                    for f in range(frequencies):
+                        _row_pass(planes[phase], r, row_even[f], row_odd[f], passed_even, passed_odd)
+                        _deal(passed_even, phase, phases, even[f])
+                        _deal(passed_odd, phase, phases, odd[f])
+                column_pass(even[0], left, col_envelope, nothing, blur, spare)
+                for f in range(frequencies):
+                    column_pass(even[f], left, col_even[f], col_odd[f], ee, eo)
+                    # The first frequency along the rows axis is 0: there is no odd part.
+                    if f > 0:
+                        column_pass(odd[f], left, col_even[f], col_odd[f], oe, oo)
+                    else:
+                        oe[:], oo[:] = np.float32(0), np.float32(0)
+                    _add_magnitude(ee, oo, eo, oe, blur, dc[f], plus, lines[first[f]])
+                    if second[f] >= 0:
+                        _add_magnitude(ee, oo, eo, oe, blur, dc[f], minus, lines[second[f]])
+            for orientation in range(out.shape[0]):
+                _cell_means(lines[orientation], samples, share, out[orientation, cell_row])
+
+    return amplitude_cells
 
 
-@njit(cache=True, nogil=True)
-def _amplitude_cells(
-    planes: F32, top: int, left: int, samples: int, stride: int,
-    row_even: F32, row_odd: F32, col_even: F32, col_odd: F32, col_envelope: F32, dc: F32,
-    first: NDArray[np.int64], second: NDArray[np.int64], out: F32,
-) -> None:  # fmt: skip
-    phases, width = planes.shape[0], planes.shape[2]
-    turns = stride // phases
-    n = out.shape[2] * samples
-    share = np.float32(1.0 / (samples * samples))
-    plus, minus = np.float32(1), np.float32(-1)
-    passed = np.empty(width, np.float32)
-    shorter = -(-width // turns)
-    even, odd = np.zeros((stride, shorter), np.float32), np.zeros((stride, shorter), np.float32)
-    blur, ee, eo = np.zeros(n, np.float32), np.zeros(n, np.float32), np.zeros(n, np.float32)
-    oe, oo, line = np.zeros(n, np.float32), np.zeros(n, np.float32), np.zeros(n, np.float32)
-    out[:] = np.float32(0)
-    for sample_row in range(out.shape[1] * samples):
-        r, cell_row = top + sample_row * stride, sample_row // samples
-        for f in range(first.shape[0]):
-            row_wave, col_wave = f > 0, col_odd[f].any()
-            for phase in range(phases):
-                _row_pass(planes[phase], r, row_even[f], plus, passed)
-                _deal(passed, even[phase::phases])
-                if row_wave:
-                    _row_pass(planes[phase], r, row_odd[f], minus, passed)
-                    _deal(passed, odd[phase::phases])
-            if f == 0:
-                _col_pass(even, left, col_envelope, plus, blur)
-            _col_pass(even, left, col_even[f], plus, ee)
-            if row_wave:
-                _col_pass(odd, left, col_even[f], plus, oe)
-            else:
-                oe[:], oo[:] = np.float32(0), np.float32(0)
-            if col_wave:
-                _col_pass(even, left, col_odd[f], minus, eo)
-                if row_wave:
-                    _col_pass(odd, left, col_odd[f], minus, oo)
-            else:
-                eo[:], oo[:] = np.float32(0), np.float32(0)
-            _magnitude(ee, oo, eo, oe, blur, dc[f], plus, line)
-            _add_cells(line, samples, share, out[first[f], cell_row])
-            if second[f] >= 0:
-                _magnitude(ee, oo, eo, oe, blur, dc[f], minus, line)
-                _add_cells(line, samples, share, out[second[f], cell_row])
+_AMPLITUDE_CELLS = {stride: _amplitude_cells_at(stride) for stride in (1, 2, 4)}
