@@ -7,6 +7,7 @@ Exit codes: 0 done or up to date; 1 the input or data was refused; 2 usage; 3 a 
 from __future__ import annotations
 
 import errno
+import gc
 import importlib
 import io
 import os
@@ -24,6 +25,9 @@ from hrt_cli.progress import abandon_stdout, to_stderr
 if TYPE_CHECKING:
     from importlib.metadata import EntryPoint
 
+_GARBAGE = 500_000
+"""New containers before the collector of cycles looks: importing numba makes so many that at Python's own 700 it looks
+500 times, which takes half a second."""
 COMMANDS = {
     "inspect": (
         "hrt_commands.inspect:inspect",
@@ -94,6 +98,7 @@ def cli() -> None:
 
 def main(args: list[str] | None = None) -> NoReturn:
     """Run the program and exit with its code."""
+    gc.set_threshold(_GARBAGE)
     _fill_closed_descriptors()
     for stream in (sys.stdout, sys.stderr):
         if stream is not None and hasattr(stream, "reconfigure"):

@@ -8,7 +8,6 @@ they are as short as the short ones; the gain of the halving is divided out of t
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -257,8 +256,8 @@ def amplitudes(image: F32, filters: Filters, origin: tuple[int, int], per_cell: 
     """
     if filters.stride == 1:
         image = np.ascontiguousarray(image.transpose(1, 2, 0)).reshape(1, image.shape[1], -1)
-    _AMPLITUDE_CELLS[filters.stride](
-        image, origin[0], origin[1], per_cell // filters.stride,
+    _amplitude_cells(
+        image, origin[0], origin[1], per_cell // filters.stride, filters.stride,
         filters.row_even, filters.row_odd, filters.col_even, filters.col_odd,
         filters.col_envelope, filters.dc, filters.first, filters.second, out,
     )  # fmt: skip
@@ -308,39 +307,44 @@ def _row_pass(p: F32, r: int, even_taps: F32, odd_taps: F32, even: F32, odd: F32
         _further_taps(even, odd, even_taps[t:], odd_taps[t:], a[0], a[1], a[2], a[3], b[3], b[2], b[1], b[0])
 
 
-def _column_pass(stride: int) -> Callable[[F32, int, F32, F32, F32, F32], None]:
-    """Make the function that filters a line along the columns axis, at every stride-th sample from `c` on.
-
-    The line is kept as one row per phase [stride, ...], and `c` is a multiple of the stride. With the stride known
-    the taps stand at fixed places, and the processor has `stride` addresses to keep, not eight.
-    """
-    near, middle, far = (1 // stride, 2 // stride, 3 // stride)
-    whole = _GROUP // stride
-
-    @njit(cache=True, nogil=True, fastmath={"contract"})
-    def column_pass(p: F32, c: int, even_taps: F32, odd_taps: F32, even: F32, odd: F32) -> None:
-        n = even.shape[0]
-        i, j = c // stride, c // stride - whole
-        zero, one, two, three = p[0], p[1 % stride], p[2 % stride], p[3 % stride]
-        _first_taps(
-            even, odd, zero[i : i + n], even_taps, odd_taps,
+@njit(cache=True, nogil=True, forceinline=True)
+def _taps_of_columns(p: F32, c: int, stride: int, even_taps: F32, odd_taps: F32, even: F32, odd: F32) -> None:
+    n, whole = even.shape[0], _GROUP // stride
+    near, middle, far = 1 // stride, 2 // stride, 3 // stride
+    i, j = c // stride, c // stride - whole
+    zero, one, two, three = p[0], p[1 % stride], p[2 % stride], p[3 % stride]
+    _first_taps(
+        even, odd, zero[i : i + n], even_taps, odd_taps,
+        one[i + near : i + near + n], two[i + middle : i + middle + n],
+        three[i + far : i + far + n], zero[i + whole : i + whole + n],
+        three[j + far : j + far + n], two[j + middle : j + middle + n],
+        one[j + near : j + near + n], zero[j : j + n],
+    )  # fmt: skip
+    for _ in range(1 + _GROUP, even_taps.shape[0], _GROUP):
+        i, j = i + whole, j - whole
+        even_taps, odd_taps = even_taps[_GROUP:], odd_taps[_GROUP:]
+        _further_taps(
+            even, odd, even_taps[1:], odd_taps[1:],
             one[i + near : i + near + n], two[i + middle : i + middle + n],
             three[i + far : i + far + n], zero[i + whole : i + whole + n],
             three[j + far : j + far + n], two[j + middle : j + middle + n],
             one[j + near : j + near + n], zero[j : j + n],
         )  # fmt: skip
-        for _ in range(1 + _GROUP, even_taps.shape[0], _GROUP):
-            i, j = i + whole, j - whole
-            even_taps, odd_taps = even_taps[_GROUP:], odd_taps[_GROUP:]
-            _further_taps(
-                even, odd, even_taps[1:], odd_taps[1:],
-                one[i + near : i + near + n], two[i + middle : i + middle + n],
-                three[i + far : i + far + n], zero[i + whole : i + whole + n],
-                three[j + far : j + far + n], two[j + middle : j + middle + n],
-                one[j + near : j + near + n], zero[j : j + n],
-            )  # fmt: skip
 
-    return column_pass
+
+@njit(cache=True, nogil=True, fastmath={"contract"})
+def _column_pass(p: F32, c: int, even_taps: F32, odd_taps: F32, even: F32, odd: F32) -> None:
+    """Filter a line along the columns axis with an even and an odd kernel, at every stride-th sample from `c` on.
+
+    The line is kept as one row per phase [stride, ...], and `c` is a multiple of the stride, which is 1, 2 or 4. Said
+    as constants, the taps stand at fixed places, and the processor has `stride` addresses to keep, not eight.
+    """
+    if p.shape[0] == 1:
+        _taps_of_columns(p, c, 1, even_taps, odd_taps, even, odd)
+    elif p.shape[0] == 2:
+        _taps_of_columns(p, c, 2, even_taps, odd_taps, even, odd)
+    else:
+        _taps_of_columns(p, c, 4, even_taps, odd_taps, even, odd)
 
 
 @njit(cache=True, nogil=True, fastmath={"contract"})
@@ -383,52 +387,43 @@ def _deal(line: F32, phase: int, phases: int, out: F32) -> None:
                 row[c] = line[c * turns + turn]
 
 
-def _amplitude_cells_at(stride: int) -> Callable[..., None]:
-    column_pass = _column_pass(stride)
-
-    @njit(cache=True, nogil=True)
-    def amplitude_cells(
-        planes: F32, top: int, left: int, samples: int,
-        row_even: F32, row_odd: F32, col_even: F32, col_odd: F32, col_envelope: F32, dc: F32,
-        first: NDArray[np.int64], second: NDArray[np.int64], out: F32,
-    ) -> None:  # fmt: skip
-        phases, rows, width = planes.shape
-        frequencies, n = first.shape[0], out.shape[2] * samples
-        share = np.float32(1.0 / (samples * samples))
-        plus, minus = np.float32(1), np.float32(-1)
-        turns = stride // phases
-        shorter = -(-width // turns)
-        passed_even, passed_odd = np.zeros(width, np.float32), np.zeros(width, np.float32)
-        even = np.zeros((frequencies, stride, shorter), np.float32)
-        odd = np.zeros((frequencies, stride, shorter), np.float32)
-        nothing = np.zeros(col_envelope.shape[0], np.float32)
-        blur, ee, eo = np.zeros(n, np.float32), np.zeros(n, np.float32), np.zeros(n, np.float32)
-        oe, oo, spare = np.zeros(n, np.float32), np.zeros(n, np.float32), np.zeros(n, np.float32)
-        lines = np.zeros((out.shape[0], n), np.float32)
-        for cell_row in range(out.shape[1]):
-            lines[:] = np.float32(0)
-            for sample_row in range(cell_row * samples, (cell_row + 1) * samples):
-                r = top + sample_row * stride
-                for phase in range(phases):
-                    for f in range(frequencies):
-                        _row_pass(planes[phase], r, row_even[f], row_odd[f], passed_even, passed_odd)
-                        _deal(passed_even, phase, phases, even[f])
-                        _deal(passed_odd, phase, phases, odd[f])
-                column_pass(even[0], left, col_envelope, nothing, blur, spare)
+@njit(cache=True, nogil=True)
+def _amplitude_cells(
+    planes: F32, top: int, left: int, samples: int, stride: int,
+    row_even: F32, row_odd: F32, col_even: F32, col_odd: F32, col_envelope: F32, dc: F32,
+    first: NDArray[np.int64], second: NDArray[np.int64], out: F32,
+) -> None:  # fmt: skip
+    phases, width = planes.shape[0], planes.shape[2]
+    frequencies, n = first.shape[0], out.shape[2] * samples
+    share = np.float32(1.0 / (samples * samples))
+    plus, minus = np.float32(1), np.float32(-1)
+    shorter = -(-width // (stride // phases))
+    passed_even, passed_odd = np.zeros(width, np.float32), np.zeros(width, np.float32)
+    even = np.zeros((frequencies, stride, shorter), np.float32)
+    odd = np.zeros((frequencies, stride, shorter), np.float32)
+    nothing = np.zeros(col_envelope.shape[0], np.float32)
+    blur, ee, eo = np.zeros(n, np.float32), np.zeros(n, np.float32), np.zeros(n, np.float32)
+    oe, oo, spare = np.zeros(n, np.float32), np.zeros(n, np.float32), np.zeros(n, np.float32)
+    lines = np.zeros((out.shape[0], n), np.float32)
+    for cell_row in range(out.shape[1]):
+        lines[:] = np.float32(0)
+        for sample_row in range(cell_row * samples, (cell_row + 1) * samples):
+            r = top + sample_row * stride
+            for phase in range(phases):
                 for f in range(frequencies):
-                    column_pass(even[f], left, col_even[f], col_odd[f], ee, eo)
-                    # The first frequency along the rows axis is 0: there is no odd part.
-                    if f > 0:
-                        column_pass(odd[f], left, col_even[f], col_odd[f], oe, oo)
-                    else:
-                        oe[:], oo[:] = np.float32(0), np.float32(0)
-                    _add_magnitude(ee, oo, eo, oe, blur, dc[f], plus, lines[first[f]])
-                    if second[f] >= 0:
-                        _add_magnitude(ee, oo, eo, oe, blur, dc[f], minus, lines[second[f]])
-            for orientation in range(out.shape[0]):
-                _cell_means(lines[orientation], samples, share, out[orientation, cell_row])
-
-    return amplitude_cells
-
-
-_AMPLITUDE_CELLS = {stride: _amplitude_cells_at(stride) for stride in (1, 2, 4)}
+                    _row_pass(planes[phase], r, row_even[f], row_odd[f], passed_even, passed_odd)
+                    _deal(passed_even, phase, phases, even[f])
+                    _deal(passed_odd, phase, phases, odd[f])
+            _column_pass(even[0], left, col_envelope, nothing, blur, spare)
+            for f in range(frequencies):
+                _column_pass(even[f], left, col_even[f], col_odd[f], ee, eo)
+                # The first frequency along the rows axis is 0: there is no odd part.
+                if f > 0:
+                    _column_pass(odd[f], left, col_even[f], col_odd[f], oe, oo)
+                else:
+                    oe[:], oo[:] = np.float32(0), np.float32(0)
+                _add_magnitude(ee, oo, eo, oe, blur, dc[f], plus, lines[first[f]])
+                if second[f] >= 0:
+                    _add_magnitude(ee, oo, eo, oe, blur, dc[f], minus, lines[second[f]])
+        for orientation in range(out.shape[0]):
+            _cell_means(lines[orientation], samples, share, out[orientation, cell_row])

@@ -265,43 +265,46 @@ def _mean(channels: F32) -> F32:
 
 @njit(cache=True, nogil=True)
 def _relative_luma(planes: U8, valid: NDArray[np.bool_], local: F32, step_px: int, top: int, left: int) -> F32:
-    """Return luma relative to its local mean, minus 1, and 0 where invalid: [2, rows, cols / 2], even and odd columns.
+    """Return (luma + floor) / (local mean + floor) − 1, and 0 where invalid: [2, rows, cols / 2], even and odd columns.
 
-    `local` holds the mean of every cell wanted and of one more cell on each side; between cell centres it is
-    interpolated bilinearly. `top` and `left` are the pixel at which the cells wanted start.
+    `local` holds the mean of every cell wanted and of one more cell on each side; between cell centres the factor
+    1 / (mean + floor) is interpolated bilinearly. `top` and `left` are the pixel at which the cells wanted start.
     """
     rows, cols = (local.shape[0] - 2) * step_px, (local.shape[1] - 2) * step_px
     out = np.empty((2, rows, cols // 2), np.float32)
     half = step_px // 2
+    factor = np.float32(1) / (local + np.float32(_LUMA_FLOOR))
     parts = ((np.arange(step_px) + 0.5) / step_px).astype(np.float32)
     upper, lower = np.empty(cols + 2 * step_px, np.float32), np.empty(cols + 2 * step_px, np.float32)
     line = np.empty(cols, np.float32)
     for r in range(rows):
         low, phase = (r + half) // step_px, (r + half) % step_px
         if r == 0 or phase == 0:
-            _stretch(local[low], step_px, upper)
-            _stretch(local[low + 1], step_px, lower)
+            _stretch(factor[low], step_px, upper)
+            _stretch(factor[low + 1], step_px, lower)
         y = top + r
         _relative_line(
             planes[0, y, left : left + cols], planes[1, y, left : left + cols], planes[2, y, left : left + cols],
             valid[y, left : left + cols], upper[step_px:], lower[step_px:], parts[phase], line,
         )  # fmt: skip
+        even, odd = out[0, r], out[1, r]
         for c in range(cols // 2):
-            out[0, r, c] = line[2 * c]
-            out[1, r, c] = line[2 * c + 1]
+            even[c] = line[2 * c]
+            odd[c] = line[2 * c + 1]
     return out
 
 
-# With Python's error model a division is a branch, and the loop is not vectorised.
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, nogil=True, fastmath={"contract"})
 def _relative_line(
     red: U8, green: U8, blue: U8, inside: NDArray[np.bool_], above: F32, below: F32, part: np.float32, out: F32
 ) -> None:
-    weights, floor = LUMA, np.float32(_LUMA_FLOOR)
+    weights, floor, one = LUMA, np.float32(_LUMA_FLOOR), np.float32(1)
     for c in range(out.shape[0]):
-        mean = above[c] + part * (below[c] - above[c])
-        value = weights[0] * np.float32(red[c]) + weights[1] * np.float32(green[c]) + weights[2] * np.float32(blue[c])
-        out[c] = (value - mean) / (mean + floor) * np.float32(inside[c])
+        factor = above[c] + part * (below[c] - above[c])
+        value = (
+            weights[0] * np.float32(red[c]) + weights[1] * np.float32(green[c]) + weights[2] * np.float32(blue[c])
+        ) + floor
+        out[c] = value * factor - one if inside[c] else np.float32(0)
 
 
 @njit(cache=True, nogil=True)

@@ -44,10 +44,11 @@ def vote(scores: F32, weights: F32, rounds: int) -> F32:
     taps = _taps()
     share = np.empty((1, *weights.shape), np.float32)
     _blur(weights[None], np.ones_like(weights), taps, share)
+    inverse = np.float32(1) / np.maximum(share[0], np.float32(_SMALLEST_SHARE))
     q, field = np.empty_like(scores), np.zeros_like(scores)
     for _ in range(rounds + 1):
         _posterior(scores, field, np.float32(_COUPLING), weights, q)
-        _blur(q, share[0], taps, field)
+        _blur(q, inverse, taps, field)
     return -field
 
 
@@ -56,52 +57,81 @@ def _taps() -> F32:
     return np.asarray(side / (side[0] + 2 * side[1:].sum()), np.float32)
 
 
+# Loops over plain lines, and comparisons instead of min and max, which mind NaN: else nothing is vectorised.
 @njit(cache=True, nogil=True, error_model="numpy")
 def _posterior(scores: F32, field: F32, coupling: np.float32, weights: F32, out: F32) -> None:
     kinds, rows, cols = scores.shape
     least, total = np.empty(cols, np.float32), np.empty(cols, np.float32)
-    lowest = np.float32(_LOWEST)
     for r in range(rows):
         least[:] = np.float32(np.inf)
         total[:] = np.float32(0)
         for k in range(kinds):
-            for c in range(cols):
-                energy = scores[k, r, c] - coupling * field[k, r, c]
-                out[k, r, c] = energy
-                least[c] = min(least[c], energy)
+            _energy(scores[k, r], field[k, r], coupling, out[k, r], least)
         for k in range(kinds):
-            for c in range(cols):
-                # (1 + x/1024)^1024: within 1 % of exp(x) where that is not negligible, and without a branch.
-                power = np.float32(1) + max(least[c] - out[k, r, c], lowest) * np.float32(1 / 1024)
-                for _ in range(10):
-                    power *= power
-                out[k, r, c] = power
-                total[c] += power
+            _exponential(least, out[k, r], total)
+        inside = weights[r]
         for c in range(cols):
-            total[c] = weights[r, c] / total[c]
+            total[c] = inside[c] / total[c]
         for k in range(kinds):
+            line = out[k, r]
             for c in range(cols):
-                out[k, r, c] *= total[c]
+                line[c] *= total[c]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def _blur(values: F32, share: F32, taps: F32, out: F32) -> None:
-    """Blur each plane, zeros outside, and divide by `share`."""
+@njit(cache=True, nogil=True)
+def _energy(scores: F32, field: F32, coupling: np.float32, out: F32, least: F32) -> None:
+    for c in range(out.shape[0]):
+        energy, lowest = scores[c] - coupling * field[c], least[c]
+        out[c] = energy
+        least[c] = energy if energy < lowest else lowest
+
+
+@njit(cache=True, nogil=True)
+def _exponential(least: F32, line: F32, total: F32) -> None:
+    """Replace energies by exp(least − energy), and add them to `total`."""
+    lowest = np.float32(_LOWEST)
+    for c in range(line.shape[0]):
+        x = least[c] - line[c]
+        x = x if x > lowest else lowest
+        # (1 + x/1024)^1024: within 1 % of exp(x) where that is not negligible, and without a branch.
+        power = np.float32(1) + x * np.float32(1 / 1024)
+        for _ in range(10):
+            power *= power
+        line[c] = power
+        total[c] += power
+
+
+@njit(cache=True, nogil=True)
+def _blur(values: F32, inverse: F32, taps: F32, out: F32) -> None:
+    """Blur each plane, zeros outside, and multiply by `inverse`."""
     kinds, rows, cols = values.shape
     reach = taps.shape[0] - 1
-    line = np.zeros(cols + 2 * reach, np.float32)
-    middle = line[reach : reach + cols]
+    padded = np.zeros(cols + 2 * reach, np.float32)
+    nothing = np.zeros(cols, np.float32)
     for k in range(kinds):
+        plane = values[k]
         for r in range(rows):
-            for c in range(cols):
-                middle[c] = taps[0] * values[k, r, c]
+            _weighted(plane[r], taps[0], padded[reach:])
             for d in range(1, reach + 1):
-                for y in (r - d, r + d):
-                    if 0 <= y < rows:
-                        for c in range(cols):
-                            middle[c] += taps[d] * values[k, y, c]
+                above = plane[r - d] if r >= d else nothing
+                below = plane[r + d] if r + d < rows else nothing
+                _add_weighted(above, below, taps[d], padded[reach:])
+            line = out[k, r]
+            _weighted(padded[reach : reach + cols], taps[0], line)
+            for d in range(1, reach + 1):
+                _add_weighted(padded[reach - d :], padded[reach + d :], taps[d], line)
+            scale = inverse[r]
             for c in range(cols):
-                total = taps[0] * line[reach + c]
-                for d in range(1, reach + 1):
-                    total += taps[d] * (line[reach + c - d] + line[reach + c + d])
-                out[k, r, c] = total / max(share[r, c], np.float32(_SMALLEST_SHARE))
+                line[c] *= scale[c]
+
+
+@njit(cache=True, nogil=True)
+def _weighted(values: F32, weight: np.float32, out: F32) -> None:
+    for c in range(values.shape[0]):
+        out[c] = weight * values[c]
+
+
+@njit(cache=True, nogil=True)
+def _add_weighted(left: F32, right: F32, weight: np.float32, out: F32) -> None:
+    for c in range(min(left.shape[0], right.shape[0], out.shape[0])):
+        out[c] += weight * (left[c] + right[c])

@@ -101,8 +101,9 @@ def expected_cells(source: ArraySource, gauge: Gauge, sampled: bool) -> F64:
     weight = blurred(share)
     local = np.where(weight > 1e-12, blurred(np.tensordot(LUMA, mean, 1) * share) / np.maximum(weight, 1e-12), 0)
     y, x = np.mgrid[: wide.rows * step, : wide.cols * step]
-    level = map_coordinates(local, [(y + 0.5) / step - 0.5, (x + 0.5) / step - 0.5], order=1, mode="nearest")
-    relative = (np.tensordot(LUMA, planes.astype(np.float64), 1) - level) / (level + 8) * inside
+    # 8 is added to both, and what is interpolated is the factor.
+    factor = map_coordinates(1 / (local + 8), [(y + 0.5) / step - 0.5, (x + 0.5) / step - 0.5], order=1, mode="nearest")
+    relative = ((np.tensordot(LUMA, planes.astype(np.float64), 1) + 8) * factor - 1) * inside
     channels = [*mean, share]
     for one, wavelength_m in zip(gauge.filters, gauge.settings.wavelengths_m, strict=True):
         answer = reference(relative, wavelength_m, gauge.settings.orientations, source.pixel_m)
