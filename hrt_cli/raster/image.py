@@ -8,17 +8,19 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from affine import Affine
 from numpy.typing import NDArray
 
 from hrt_cli.errors import InputError
-from hrt_cli.raster.aoi import PixelArea, read_aoi
 from hrt_cli.raster.grid import Grid
 from hrt_cli.raster.mosaic import Layer, Valid, open_layer
 from hrt_cli.raster.windows import Window, blocks
+
+if TYPE_CHECKING:
+    from hrt_cli.raster.aoi import PixelArea
 
 _STRETCH_QUANTILES = (0.005, 0.995)
 _PROBE_WINDOWS = 6
@@ -205,6 +207,8 @@ class Image:
         InputError
             The file is no area (see `read_aoi`), misses the raster, or holds none of its valid pixels.
         """
+        from hrt_cli.raster.aoi import read_aoi
+
         area = read_aoi(aoi).require_on(self.raster.grid, self.raster.path)
         bounds = area.bounds
         self.grid = _window_grid(self.raster.grid, bounds)

@@ -21,9 +21,13 @@ _WHITE_SHARES = np.asarray(_LINEAR_TO_XYZ / _LINEAR_TO_XYZ.sum(axis=1, keepdims=
 _CIE_EPSILON = (6 / 29) ** 3
 _LINE = 512
 """Values worked on at once."""
-_POWER_08 = tuple(map(np.float32, (0.031431895, 1.3856672, -1.0283719, 1.2923286, -1.1181022, 0.55598485, -0.118940204)))
+_POWER_08 = tuple(
+    map(np.float32, (0.031431895, 1.3856672, -1.0283719, 1.2923286, -1.1181022, 0.55598485, -0.118940204))
+)
 """v^0.8 for v in [0.3, 1], constant term first: least relative error of degree 6."""
-_POWER_43 = tuple(map(np.float32, (-0.010440051, 0.46231762, 1.0352039, -0.9603127, 0.7607536, -0.36380473, 0.076283686)))
+_POWER_43 = tuple(
+    map(np.float32, (-0.010440051, 0.46231762, 1.0352039, -0.9603127, 0.7607536, -0.36380473, 0.076283686))
+)
 """w^(4/3) for w in [0.3, 1], likewise."""
 
 
@@ -154,7 +158,7 @@ def _lab(rgb: F32, shares: F32, out: F32) -> None:
 
 @njit(cache=True, nogil=True, fastmath={"contract"})
 def _linearise(values: F32, out: F32) -> None:
-    """sRGB in [0, 255] to linear light; u^2.4 as u² times a polynomial in √u that is √u^0.8 within 3e-6."""
+    """Turn sRGB in [0, 255] into linear light; u^2.4 as u² times a polynomial in √u that is √u^0.8 within 3e-6."""
     p0, p1, p2, p3, p4, p5, p6 = _POWER_08
     for c in range(values.shape[0]):
         scaled = values[c] * np.float32(1 / 255)
@@ -166,7 +170,7 @@ def _linearise(values: F32, out: F32) -> None:
 
 @njit(cache=True, nogil=True, fastmath={"contract"})
 def _curve(red: F32, green: F32, blue: F32, red_share: np.float32, blue_share: np.float32, out: F32) -> None:
-    """CIE's f of one of X, Y, Z over the white point; the cube root as a polynomial in t^¼, within 3e-6."""
+    """Take CIE's f of one of X, Y, Z over the white point; the cube root as a polynomial in t^¼, within 3e-6."""
     p0, p1, p2, p3, p4, p5, p6 = _POWER_43
     for c in range(out.shape[0]):
         # Written as differences, grey is neutral to the last bit.

@@ -30,6 +30,8 @@ MAX_WAVELENGTH_PX = 512.0
 _STEPS_PX = (2, 4, 8, 16, 32)
 _AMPLITUDE_FLOOR = 1e-3
 """Added to an amplitude (relative contrast) before the logarithm: below 8-bit quantisation."""
+_FACTORS = 8
+"""So many amplitudes, which are above the floor, multiply to a number that single precision holds."""
 _LUMA_FLOOR = 8.0
 """Added to the local mean luma before dividing by it, so that deep shadow is not all noise."""
 _COLUMNS_PX = 2048
@@ -171,10 +173,10 @@ class Gauge:
             per_cell = step >> one.level
             amplitudes(levels[one.level], one, (margin_r * per_cell, margin_c * per_cell), per_cell, found)
             found += np.float32(_AMPLITUDE_FLOOR)
-            np.log(found, out=found)
             if self.settings.texture_mode == "mean":
-                texture[..., index] = _mean(found)
+                texture[..., index] = _mean_log(found)
             else:
+                np.log(found, out=found)
                 first = index * len(found)
                 texture[..., first : first + len(found)] = found.transpose(1, 2, 0)
         texture[inner == 0] = np.float32(0)
@@ -255,10 +257,14 @@ def _cuts(begin: int, end: int, size: int) -> list[int]:
     return [begin, *inner, end]
 
 
-def _mean(channels: F32) -> F32:
-    total: F32 = channels[0].copy()
-    for one in channels[1:]:
-        total += one
+def _mean_log(channels: F32) -> F32:
+    """Return the mean logarithm over channels, by way of products: a logarithm costs more than all else here."""
+    total = np.zeros(channels.shape[1:], np.float32)
+    for first in range(0, len(channels), _FACTORS):
+        product = channels[first].copy()
+        for one in channels[first + 1 : first + _FACTORS]:
+            product *= one
+        total += np.log(product)
     total *= np.float32(1 / len(channels))
     return total
 
