@@ -106,7 +106,10 @@ def main(args: list[str] | None = None) -> NoReturn:
     for signum in (signal.SIGINT, signal.SIGTERM):
         if signal.getsignal(signum) is not signal.SIG_IGN:
             signal.signal(signum, _stop)
-    sys.exit(_run(args))
+    code = _run(args)
+    # Leaving, Python looks for cycles several times over: in hundreds of thousands of objects that the system frees.
+    gc.freeze()
+    sys.exit(code)
 
 
 def _run(args: list[str] | None) -> int:

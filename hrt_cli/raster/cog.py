@@ -58,6 +58,9 @@ _CREATION = {
 }
 """Creation options of the COG driver that users may set, and the values of each (a regular expression)."""
 
+_LEVELS = {"DEFLATE": "5", "ZSTD": "1"}
+"""Higher ones take several times as long, for files a fifth smaller."""
+
 Colour = tuple[int, int, int, int]
 
 
@@ -240,16 +243,18 @@ def _add_overviews(work: Path, layout: Layout, creation: Mapping[str, str]) -> N
 
 
 def _copy_to_cog(work: Path, draft: Path, layout: Layout, creation: Mapping[str, str]) -> None:
+    # Of long runs of one value Zstandard makes smaller files in a third of the time; else all programs shall read it.
+    compression = creation.get("COMPRESS", "ZSTD" if layout.palette is not None else "DEFLATE")
     options = {
-        "COMPRESS": "DEFLATE",
-        # Levels above 5 take several times as long, for files a fifth smaller.
-        "LEVEL": "5",
+        "COMPRESS": compression,
+        "LEVEL": _LEVELS.get(compression, ""),
         "PREDICTOR": "YES" if np.dtype(layout.dtype).kind == "f" or layout.rgb else "NO",
         "BLOCKSIZE": str(TILE_PX),
         "OVERVIEW_RESAMPLING": layout.resampling.upper(),
         "BIGTIFF": "IF_SAFER",
         **creation,
     }
+    options = {name: value for name, value in options.items() if value}
     rasterio.shutil.copy(work, draft, driver="COG", copy_src_mdd="YES", **options)
 
 

@@ -144,10 +144,13 @@ class Raster:
         ]
         return {"raster": self.path} | {f"raster/{index}": part for index, part in enumerate(parts)}
 
-    def read_bands(self, bands: list[int], window: Window) -> NDArray[Any]:
-        """Read bands (1-based) in a window inside the raster: [band, height, width] in the file's dtype."""
+    def read_bands(self, bands: list[int], window: Window, out: NDArray[Any] | None = None) -> NDArray[Any]:
+        """Read bands (1-based) in a window inside the raster: [band, height, width] in the file's dtype.
+
+        They are put into `out`, of that shape and dtype, where it is given.
+        """
         try:
-            return np.asarray(self._pool.dataset(self.path).read(bands, window=_rio(window)))
+            return np.asarray(self._pool.dataset(self.path).read(bands, window=_rio(window), out=out))
         except RasterioError as error:
             raise _damaged(self.path, error) from error
 

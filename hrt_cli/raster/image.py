@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from hrt_cli.errors import InputError
 from hrt_cli.raster.grid import Grid
 from hrt_cli.raster.mosaic import Layer, Valid, open_layer
-from hrt_cli.raster.windows import Window, blocks
+from hrt_cli.raster.windows import Planes, Window, blocks
 
 if TYPE_CHECKING:
     from hrt_cli.raster.aoi import PixelArea
@@ -136,24 +136,24 @@ class Image:
             rgb[..., channel] = plane
         return rgb, valid
 
-    def read_planes(self, window: Window) -> tuple[NDArray[np.uint8], NDArray[np.bool_]]:
+    def read_planes(self, window: Window, out: Planes | None = None) -> Planes:
         """Return `(planes [3, height, width], valid [height, width])`: `read` without turning the pixels round.
 
-        Each plane is C-contiguous, and so is the array but for a grey image, where it may be one plane shown three
-        times: do not write into it.
+        See `ImageSource`.
         """
+        planes, valid = out or _nothing(window)
         inside = window.clipped(self.shape)
+        if inside != window:
+            valid[...] = False
         if not (inside.height and inside.width):
-            return _nothing(window)
-        colours, good = self._colours(inside)
-        planes = self._planes(colours)
-        if inside == window:
-            return planes, np.ones(planes.shape[1:], np.bool_) if good is None else good
-        padded, valid = _nothing(window)
+            return planes, valid
         there = Window(inside.row - window.row, inside.col - window.col, inside.height, inside.width).slices
-        padded[:, *there] = planes
+        into = planes[:, *there]
+        colours, good = self._colours(inside, into if self._is_plain_rgb else None)
+        if colours is not into:
+            into[...] = self._planes(colours)
         valid[there] = True if good is None else good
-        return padded, valid
+        return planes, valid
 
     def thumbnail(self, max_px: int) -> tuple[NDArray[np.uint8], NDArray[np.bool_]]:
         """Return the whole image and its mask, every n-th pixel, with at most `max_px` rows and columns.
@@ -228,15 +228,23 @@ class Image:
             seen = np.union1d(seen, _codes(planes[:, valid]))
         return bool(seen.size >= count)
 
-    def _colours(self, window: Window) -> tuple[NDArray[Any], Valid]:
-        """Read the file's own values [band, height, width], and where they are valid, in a window inside the image."""
+    @property
+    def _is_plain_rgb(self) -> bool:
+        """Whether the file's own values are red, green and blue."""
+        return len(self.bands) == 3 and self.stretch is None and self.raster.palette is None
+
+    def _colours(self, window: Window, out: NDArray[Any] | None = None) -> tuple[NDArray[Any], Valid]:
+        """Read the file's own values [band, height, width], and where they are valid, in a window inside the image.
+
+        The values may be put into `out`, and are then `out` itself.
+        """
         there = Window(window.row + self._origin[0], window.col + self._origin[1], window.height, window.width)
         if self._area is None:
-            return self.raster.read(there)
+            return self.raster.read(there, out)
         inside = self._area.mask(there)
         if not inside.any():
             return np.zeros((len(self.bands), window.height, window.width), self.raster.dtype), inside
-        colours, valid = self.raster.read(there)
+        colours, valid = self.raster.read(there, out)
         return colours, inside if valid is None else inside & valid
 
     def _valid_colours(self, window: Window) -> NDArray[Any]:
@@ -330,7 +338,7 @@ def _codes(planes: NDArray[np.uint8]) -> NDArray[np.uint32]:
     return np.asarray(red << 16 | green << 8 | blue)
 
 
-def _nothing(window: Window) -> tuple[NDArray[np.uint8], NDArray[np.bool_]]:
+def _nothing(window: Window) -> Planes:
     shape = (window.height, window.width)
     return np.zeros((3, *shape), np.uint8), np.zeros(shape, np.bool_)
 

@@ -73,8 +73,11 @@ class Layer(Protocol):
     block_shape: tuple[int, int]
     notes: list[str]
 
-    def read(self, window: Window) -> tuple[Colours, Valid]:
-        """Read `(colours [band, height, width], valid)` in a window inside the grid; safe from several threads."""
+    def read(self, window: Window, out: Colours | None = None) -> tuple[Colours, Valid]:
+        """Read `(colours [band, height, width], valid)` in a window inside the grid; safe from several threads.
+
+        The colours may be put into `out`, of their shape and type, and are then `out` itself.
+        """
         ...
 
     def sources(self) -> dict[str, Path]:
@@ -97,12 +100,12 @@ class Single:
         self.palette = raster.palette
         self.block_shape = raster.block_shape
 
-    def read(self, window: Window) -> tuple[Colours, Valid]:
+    def read(self, window: Window, out: Colours | None = None) -> tuple[Colours, Valid]:
         """See `Layer`."""
         # The alpha band is read as data: GDAL's own mask calls every pixel of a 16-bit or real ODM file valid.
         wanted = [*self.bands, self.alpha] if self.alpha else self.bands
-        values = self._raster.read_bands(wanted, window)
-        colours = values[: len(self.bands)]
+        values = self._raster.read_bands(wanted, window, None if self.alpha else out)
+        colours = values if len(values) == len(self.bands) else values[: len(self.bands)]
         found = [_having_data(colours, [self._raster.nodata[band - 1] for band in self.bands])]
         if self.alpha:
             found.append(values[-1] > 0)
@@ -166,7 +169,7 @@ class Mosaic:
         self.block_shape = first.block_shape
         self.notes = list(dict.fromkeys(note for tile in tiles for note in tile.notes))
 
-    def read(self, window: Window) -> tuple[Colours, Valid]:
+    def read(self, window: Window, out: Colours | None = None) -> tuple[Colours, Valid]:
         """See `Layer`."""
         start = np.array([window.row, window.col])
         end = np.array([window.row + window.height, window.col + window.width])

@@ -45,6 +45,9 @@ class Window:
         return slice(self.row, self.row + self.height), slice(self.col, self.col + self.width)
 
 
+Planes = tuple[NDArray[np.uint8], NDArray[np.bool_]]
+
+
 class ImageSource(Protocol):
     """An RGB image that can be read window by window: what `texture` works on.
 
@@ -69,11 +72,11 @@ class ImageSource(Protocol):
     @property
     def anchor(self) -> tuple[int, int]: ...  # noqa: D102
 
-    def read_planes(self, window: Window) -> tuple[NDArray[np.uint8], NDArray[np.bool_]]:
+    def read_planes(self, window: Window, out: Planes | None = None) -> Planes:
         """Return `(planes [3, height, width] uint8, valid [height, width] bool)`: red, green, blue.
 
-        The window may reach outside: there `valid` is False and the colour is arbitrary. Safe to call from
-        several threads at once.
+        The window may reach outside: there `valid` is False and the colour is arbitrary. Where `out` is given, arrays
+        of those shapes, it is filled and returned. Safe to call from several threads at once.
         """
         ...
 

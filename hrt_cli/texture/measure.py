@@ -225,7 +225,7 @@ class Gauge:
                 there = slice(beside, width)
                 planes[:, :above, there] = kept_planes[:, :above, x0 - left : x1 - left]
                 valid[:above, there] = kept_valid[:above, x0 - left : x1 - left]
-                planes[:, above:height, there], valid[above:height, there] = source.read_planes(window)
+                source.read_planes(window, (planes[:, above:height, there], valid[above:height, there]))
                 kept_planes[:, :below, x0 - left : x1 - left] = planes[:, height - below : height, there]
                 kept_valid[:below, x0 - left : x1 - left] = valid[height - below : height, there]
                 start = begun

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from hrt_cli.raster.windows import Window
+from hrt_cli.raster.windows import Planes, Window
 from hrt_cli.texture.cells import measured
 from hrt_cli.texture.cluster import cluster
 from hrt_cli.texture.model import TextureModel
@@ -30,7 +30,7 @@ class ArraySource:
     def shape(self) -> tuple[int, int]:
         return self.rgb.shape[:2]
 
-    def read_planes(self, window: Window) -> tuple[NDArray[np.uint8], NDArray[np.bool_]]:
+    def read_planes(self, window: Window, out: Planes | None = None) -> Planes:
         self.windows.append(window)
         rgb = np.full((window.height, window.width, 3), (255, 0, 200), np.uint8)
         valid = np.zeros((window.height, window.width), bool)
@@ -40,7 +40,10 @@ class ArraySource:
             place = (slice(top, top + inside.height), slice(left, left + inside.width))
             rgb[place] = self.rgb[inside.slices]
             valid[place] = True if self.valid is None else self.valid[inside.slices]
-        return np.ascontiguousarray(np.moveaxis(rgb, -1, 0)), valid
+        if out is None:
+            return np.ascontiguousarray(np.moveaxis(rgb, -1, 0)), valid
+        out[0][:], out[1][:] = np.moveaxis(rgb, -1, 0), valid
+        return out
 
     def model(self, spec: SegmentSpec, **options: int) -> TextureModel:
         """Fit a model on it."""
