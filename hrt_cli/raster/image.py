@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from hrt_cli.raster.aoi import PixelArea
 
 _STRETCH_QUANTILES = (0.005, 0.995)
-_PROBE_WINDOWS = 6
+_PROBE_WINDOWS = 4
 _STRETCH_WINDOWS = 12
 """Windows along each axis: what is only counted needs fewer than the quantiles of a stretch."""
 _PROBE_PX = 128

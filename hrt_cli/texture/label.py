@@ -45,7 +45,7 @@ def cell_scores(values: F32, mean: F32, gain: F32, offset: F32) -> F32:
 @njit(cache=True, nogil=True)
 def label(
     scores: F32, defined: NDArray[np.bool_], valid: NDArray[np.bool_], step_px: int, first_row: int, first_col: int
-) -> U8:
+) -> tuple[U8, NDArray[np.int64]]:
     """Give every pixel the class of least score, scores interpolated bilinearly between cell centres.
 
     Where one class wins at all four corners it wins between them, for bilinear weights are a convex combination; and a
@@ -66,8 +66,10 @@ def label(
 
     Returns
     -------
-    ndarray [height, width] uint8
+    classes : ndarray [height, width] uint8
         `NODATA` where there is no class.
+    counts : ndarray [256] int64
+        How often each value stands there.
     """
     kinds, rows, cols = scores.shape
     height, width = valid.shape
@@ -117,7 +119,7 @@ def label(
                     classes[y, x] = rivals[nearest]
             c += 1
     _blank(classes, defined, valid, step_px, first_row, first_col)
-    return classes
+    return classes, _count(classes)
 
 
 @njit(cache=True, nogil=True)
@@ -170,12 +172,14 @@ def _blank(
 
 
 @njit(cache=True, nogil=True)
-def count_classes(classes: U8) -> NDArray[np.int64]:
-    """Return how often each of the 256 values stands in `classes`, int64 [256]."""
+def _count(classes: U8) -> NDArray[np.int64]:
     # Four tables in turn: neighbours are mostly alike, and adding to one place over and over would stall.
     counts = np.zeros((4, 256), np.int64)
     for y in range(classes.shape[0]):
-        for x in range(classes.shape[1]):
-            counts[x & 3, classes[y, x]] += 1
-    total: NDArray[np.int64] = counts.sum(axis=0)
+        line = classes[y]
+        for x in range(line.shape[0]):
+            counts[x & 3, line[x]] += 1
+    for value in range(256):
+        counts[0, value] += counts[1, value] + counts[2, value] + counts[3, value]
+    total: NDArray[np.int64] = counts[0].copy()
     return total

@@ -95,43 +95,76 @@ def smooth(values: F32, weights: F32, row_taps: F32, col_taps: F32) -> tuple[F32
     weight : ndarray [rows − 2·reach, cols − 2·reach] float32 in [0, 1]
         The share of the window that has data.
     """
-    total = _convolve(weights, row_taps, col_taps)
-    out = np.empty((values.shape[0], *total.shape), np.float32)
-    for channel in range(values.shape[0]):
-        _smooth_channel(values[channel], weights, total, row_taps, col_taps, out[channel])
+    rows, cols = (n - 2 * (len(taps) - 1) for n, taps in zip(weights.shape, (row_taps, col_taps), strict=True))
+    out, total = np.empty((len(values), rows, cols), np.float32), np.empty((rows, cols), np.float32)
+    _smooth(values, weights, row_taps, col_taps, out, total)
     return out, total
 
 
-@njit(cache=True, nogil=True)
-def _fold(acc: F32, upper: F32, lower: F32, tap: np.float32) -> None:
-    for x in range(acc.shape[0]):
-        acc[x] += tap * (upper[x] + lower[x])
+@njit(cache=True, nogil=True, error_model="numpy")
+def _smooth(values: F32, weights: F32, row_taps: F32, col_taps: F32, out: F32, total: F32) -> None:
+    _convolve(weights, row_taps, col_taps, total)
+    weighted = np.empty(weights.shape, np.float32)
+    for channel in range(values.shape[0]):
+        for r in range(weights.shape[0]):
+            _multiply(values[channel, r], weights[r], weighted[r])
+        _convolve(weighted, row_taps, col_taps, out[channel])
+        for r in range(total.shape[0]):
+            _divide(total[r], out[channel, r])
 
 
 @njit(cache=True, nogil=True)
-def _convolve(image: F32, row_taps: F32, col_taps: F32) -> F32:
+def _convolve(image: F32, row_taps: F32, col_taps: F32, out: F32) -> None:
     """Convolve with a symmetric separable kernel; the result is smaller by the reach on each side."""
     reach_r, reach_c = row_taps.shape[0] - 1, col_taps.shape[0] - 1
-    rows, cols = image.shape[0] - 2 * reach_r, image.shape[1] - 2 * reach_c
-    out = np.empty((rows, cols), np.float32)
     line = np.empty(image.shape[1], np.float32)
-    for r in range(rows):
-        line[:] = row_taps[0] * image[r + reach_r]
-        for t in range(1, reach_r + 1):
-            _fold(line, image[r + reach_r - t], image[r + reach_r + t], row_taps[t])
-        out[r] = col_taps[0] * line[reach_c : reach_c + cols]
-        for t in range(1, reach_c + 1):
-            _fold(out[r], line[reach_c - t :][:cols], line[reach_c + t :][:cols], col_taps[t])
-    return out
+    for r in range(out.shape[0]):
+        _scale(image[r + reach_r], row_taps[0], line)
+        for t in range(1, reach_r, 2):
+            _fold_two(
+                line, image[r + reach_r - t], image[r + reach_r + t], image[r + reach_r - t - 1],
+                image[r + reach_r + t + 1], row_taps[t], row_taps[t + 1],
+            )  # fmt: skip
+        if reach_r % 2:
+            _fold(line, image[r], image[r + 2 * reach_r], row_taps[reach_r])
+        found = out[r]
+        _scale(line[reach_c:], col_taps[0], found)
+        for t in range(1, reach_c, 2):
+            _fold_two(
+                found, line[reach_c - t :], line[reach_c + t :], line[reach_c - t - 1 :], line[reach_c + t + 1 :],
+                col_taps[t], col_taps[t + 1],
+            )  # fmt: skip
+        if reach_c % 2:
+            _fold(found, line, line[2 * reach_c :], col_taps[reach_c])
+
+
+# Plain loops over lines: an expression of whole lines would make new arrays.
+@njit(cache=True, nogil=True)
+def _multiply(left: F32, right: F32, out: F32) -> None:
+    for x in range(out.shape[0]):
+        out[x] = left[x] * right[x]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _divide(total: F32, out: F32) -> None:
+    for x in range(out.shape[0]):
+        quotient = out[x] / total[x]
+        out[x] = quotient if total[x] > np.float32(0) else np.float32(0)
 
 
 @njit(cache=True, nogil=True)
-def _smooth_channel(values: F32, weights: F32, total: F32, row_taps: F32, col_taps: F32, out: F32) -> None:
-    weighted = np.empty(values.shape, np.float32)
-    for r in range(values.shape[0]):
-        for c in range(values.shape[1]):
-            weighted[r, c] = values[r, c] * weights[r, c]
-    summed = _convolve(weighted, row_taps, col_taps)
-    for r in range(out.shape[0]):
-        for c in range(out.shape[1]):
-            out[r, c] = summed[r, c] / total[r, c] if total[r, c] > 0 else np.float32(0)
+def _scale(values: F32, tap: np.float32, out: F32) -> None:
+    for x in range(out.shape[0]):
+        out[x] = tap * values[x]
+
+
+@njit(cache=True, nogil=True)
+def _fold(acc: F32, a: F32, b: F32, tap: np.float32) -> None:
+    for x in range(acc.shape[0]):
+        acc[x] += tap * (a[x] + b[x])
+
+
+@njit(cache=True, nogil=True)
+def _fold_two(acc: F32, a: F32, b: F32, c: F32, d: F32, first: np.float32, second: np.float32) -> None:
+    for x in range(acc.shape[0]):
+        acc[x] += first * (a[x] + b[x]) + second * (c[x] + d[x])

@@ -19,7 +19,7 @@ from hrt_cli.texture.cells import Cells
 from hrt_cli.texture.cluster import Sample
 from hrt_cli.texture.discriminate import TEMPERATURE, Tile
 from hrt_cli.texture.features import Windows
-from hrt_cli.texture.label import NODATA, cell_scores, count_classes, label
+from hrt_cli.texture.label import NODATA, cell_scores, label
 from hrt_cli.texture.lattice import CellGrid
 from hrt_cli.texture.measure import Gauge
 from hrt_cli.texture.model import MAX_CLASSES, TextureModel
@@ -187,12 +187,12 @@ def predict(
     strips = list(_strips(blocks(cells.shape, block_px, cells.anchor)))
     counts = np.zeros(256, np.int64)
 
-    def classify(strip: Window) -> NDArray[np.uint8]:
+    def classify(strip: Window) -> tuple[NDArray[np.uint8], NDArray[np.int64]]:
         return _classify(cells, windows, strip, linear)
 
     with closing(_in_order(classify, strips, workers)) as results:
-        for done, (strip, classes) in enumerate(zip(strips, results, strict=True), start=1):
-            counts += count_classes(classes)
+        for done, (strip, (classes, found)) in enumerate(zip(strips, results, strict=True), start=1):
+            counts += found
             sink(strip, classes)
             progress(done, len(strips))
     return SegmentStats(
@@ -266,11 +266,13 @@ def _draw(cells: Cells, windows: Windows, tile: Window, quota: int, rng: np.rand
     )
 
 
-def _classify(cells: Cells, windows: Windows, window: Window, linear: tuple[F32, F32, F32]) -> NDArray[np.uint8]:
-    """Return the classes of one block."""
+def _classify(
+    cells: Cells, windows: Windows, window: Window, linear: tuple[F32, F32, F32]
+) -> tuple[NDArray[np.uint8], NDArray[np.int64]]:
+    """Return the classes of one block, and how often each of 256 values stands there."""
     valid = cells.read_valid(window)
     if not valid.any():
-        return np.full(valid.shape, NODATA, np.uint8)
+        return np.full(valid.shape, NODATA, np.uint8), np.bincount([NODATA], [valid.size]).astype(np.int64)
     # Labels are interpolated between cells, and where cells vote, more of them are asked.
     beside = 1 + (halo_cells(cells.settings.votes) if cells.settings.discriminates else 0)
     grid = CellGrid.covering(window, cells.anchor, cells.grid.step_px).grown(beside, beside)

@@ -41,20 +41,30 @@ def vote(scores: F32, weights: F32, rounds: int) -> F32:
         Minus the blurred probabilities: the class of least value wins, and interpolating them interpolates
         probabilities. Right where `halo_cells` lie around.
     """
-    taps = _taps()
-    share = np.empty((1, *weights.shape), np.float32)
-    _blur(weights[None], np.ones_like(weights), taps, share)
-    inverse = np.float32(1) / np.maximum(share[0], np.float32(_SMALLEST_SHARE))
-    q, field = np.empty_like(scores), np.zeros_like(scores)
-    for _ in range(rounds + 1):
-        _posterior(scores, field, np.float32(_COUPLING), weights, q)
-        _blur(q, inverse, taps, field)
-    return -field
+    field = np.zeros_like(scores)
+    _mean_field(scores, weights, _taps(), rounds, field)
+    return np.negative(field, out=field)
 
 
 def _taps() -> F32:
     side = np.exp(-0.5 * (np.arange(_REACH_CELLS + 1) / _SIGMA_CELLS) ** 2)
     return np.asarray(side / (side[0] + 2 * side[1:].sum()), np.float32)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _mean_field(scores: F32, weights: F32, taps: F32, rounds: int, field: F32) -> None:
+    inverse = np.empty(weights.shape, np.float32)
+    _blur_plane(weights, taps, inverse)
+    for r in range(weights.shape[0]):
+        for c in range(weights.shape[1]):
+            inverse[r, c] = np.float32(1) / max(inverse[r, c], np.float32(_SMALLEST_SHARE))
+    q = np.empty(scores.shape, np.float32)
+    for _ in range(rounds + 1):
+        _posterior(scores, field, np.float32(_COUPLING), weights, q)
+        for k in range(scores.shape[0]):
+            _blur_plane(q[k], taps, field[k])
+            for r in range(weights.shape[0]):
+                _multiply(inverse[r], field[k, r])
 
 
 # Loops over plain lines, and comparisons instead of min and max, which mind NaN: else nothing is vectorised.
@@ -73,9 +83,7 @@ def _posterior(scores: F32, field: F32, coupling: np.float32, weights: F32, out:
         for c in range(cols):
             total[c] = inside[c] / total[c]
         for k in range(kinds):
-            line = out[k, r]
-            for c in range(cols):
-                line[c] *= total[c]
+            _multiply(total, out[k, r])
 
 
 @njit(cache=True, nogil=True)
@@ -102,27 +110,27 @@ def _exponential(least: F32, line: F32, total: F32) -> None:
 
 
 @njit(cache=True, nogil=True)
-def _blur(values: F32, inverse: F32, taps: F32, out: F32) -> None:
-    """Blur each plane, zeros outside, and multiply by `inverse`."""
-    kinds, rows, cols = values.shape
+def _blur_plane(plane: F32, taps: F32, out: F32) -> None:
+    """Blur a plane, zeros outside."""
+    rows, cols = plane.shape
     reach = taps.shape[0] - 1
     padded = np.zeros(cols + 2 * reach, np.float32)
     nothing = np.zeros(cols, np.float32)
-    for k in range(kinds):
-        plane = values[k]
-        for r in range(rows):
-            _weighted(plane[r], taps[0], padded[reach:])
-            for d in range(1, reach + 1):
-                above = plane[r - d] if r >= d else nothing
-                below = plane[r + d] if r + d < rows else nothing
-                _add_weighted(above, below, taps[d], padded[reach:])
-            line = out[k, r]
-            _weighted(padded[reach : reach + cols], taps[0], line)
-            for d in range(1, reach + 1):
-                _add_weighted(padded[reach - d :], padded[reach + d :], taps[d], line)
-            scale = inverse[r]
-            for c in range(cols):
-                line[c] *= scale[c]
+    for r in range(rows):
+        _weighted(plane[r], taps[0], padded[reach:])
+        for d in range(1, reach + 1):
+            above = plane[r - d] if r >= d else nothing
+            below = plane[r + d] if r + d < rows else nothing
+            _add_weighted(above, below, taps[d], padded[reach:])
+        _weighted(padded[reach : reach + cols], taps[0], out[r])
+        for d in range(1, reach + 1):
+            _add_weighted(padded[reach - d :], padded[reach + d :], taps[d], out[r])
+
+
+@njit(cache=True, nogil=True)
+def _multiply(factors: F32, line: F32) -> None:
+    for c in range(line.shape[0]):
+        line[c] *= factors[c]
 
 
 @njit(cache=True, nogil=True)

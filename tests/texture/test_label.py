@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.ndimage import map_coordinates
 
-from hrt_cli.texture.label import NODATA, cell_scores, count_classes, label
+from hrt_cli.texture.label import NODATA, cell_scores, label
 
 
 @settings(deadline=None, max_examples=40)
@@ -19,7 +19,8 @@ def test_labels_are_the_least_of_bilinear_scores(seed: int, step_px: int, kinds:
     height, width = (int(n) for n in rng.integers(1, 3 * step_px, 2))
     valid = rng.random((height, width)) < 0.8
     defined = rng.random((6, 7)) < 0.8
-    got = label(scores, defined, valid, step_px, first_row, first_col)
+    got, counts = label(scores, defined, valid, step_px, first_row, first_col)
+    assert np.array_equal(counts, np.bincount(got.ravel(), minlength=256))
     y, x = np.mgrid[first_row : first_row + height, first_col : first_col + width]
     where = [(y + 0.5) / step_px - 0.5, (x + 0.5) / step_px - 0.5]
     full = np.stack([map_coordinates(one.astype(np.float64), where, order=1) for one in scores])
@@ -35,8 +36,3 @@ def test_scores_are_linear_in_the_features() -> None:
     gain, offset = rng.normal(size=(6, 5)).astype(np.float32), rng.normal(size=6).astype(np.float32)
     expected = np.einsum("kc,crx->krx", gain, values - mean[:, None, None]) + offset[:, None, None]
     assert cell_scores(values, mean, gain, offset) == pytest.approx(expected, abs=1e-5)
-
-
-def test_counting() -> None:
-    classes = np.random.default_rng(1).integers(0, 256, (37, 41)).astype(np.uint8)
-    assert np.array_equal(count_classes(classes), np.bincount(classes.ravel(), minlength=256))
