@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,12 +13,14 @@ from texture_classes import Picture, agree, segment
 
 from hrt_cli.raster.classes import NODATA
 from hrt_cli.world.scenes import SCENES
-from hrt_cli.world.synth import Site, SiteSpec, make_site
+from hrt_cli.world.synth import Site as SyntheticSite
+from hrt_cli.world.synth import SiteSpec, make_site
 
 sys.path.append(str(ROOT / "tests" / "texture"))
-from sites import POLYGONS, baseline, cell_colours, read_site, recalls, smoothed, spread
+from sites import FOLDERS, SITES, Site, baseline, cell_colours, read_site, recalls, smoothed, spread
 
 SITE_CLASSES = (5, 6, 8)
+PROGRAMS = ("hrt segment", "Lab + contrast")
 PIXEL_M = 0.05
 HUE_CELL_PX = 8
 HUE_SIGMA_CELLS = 1.0
@@ -31,29 +34,38 @@ U8 = NDArray[np.uint8]
 
 def quality_sites(effort: Effort) -> list[Table]:
     """Mean recall of the labels of the polygons, each class voting for one label."""
-    names = [name for name in POLYGONS if (DATA / name).exists()][: effort.sites]
+    names = [name for name in SITES if (DATA / name).exists()][: effort.sites]
     if not names:
         raise Skipped("the real sites are absent (../shared/data)")
-    found: dict[tuple[str, int], tuple[float, float]] = {}
+    rows = []
     for name in names:
-        site = read_site(DATA, name)
-        picture = Picture(site.rgb, site.valid) if (DATA / name).is_dir() else DATA / name
-        for classes in SITE_CLASSES:
-            ours = segment(picture, classes)
-            plain = baseline(site.rgb, site.valid, classes)
-            found[name, classes] = tuple(float(recalls(one, site.truth)[0].mean()) for one in (ours, plain))
+        rows.extend(_site_rows(name.rsplit(".", 1)[0], read_site(DATA, name), DATA / name))
     for classes in SITE_CLASSES:
-        mean = np.mean([found[name, classes] for name in names], axis=0)
-        found["mean", classes] = (float(mean[0]), float(mean[1]))
-    rows = [
-        {"site": name.rsplit(".", 1)[0], "K": classes, "hrt segment": ours, "Lab + contrast": plain,
-         "better": "hrt" if ours > plain else "Lab + contrast" if plain > ours else "equal"}
-        for (name, classes), (ours, plain) in found.items()
-    ]  # fmt: skip
+        ours, plain = (float(np.mean([row[key] for row in rows if row["K"] == classes])) for key in PROGRAMS)
+        rows.append(_site_row("mean", classes, ours, plain))
+    if len(names) == len(SITES):
+        for folder in FOLDERS:
+            together = read_site(DATA, folder)
+            picture = Picture(together.rgb, together.valid)
+            rows.extend(_site_rows(f"{folder}, its tiles as one", together, picture))
     notes = [
         "Mean recall of the labels drawn. Lab + contrast: mean colour and contrast in a window, standardised, K-means.",
+        "Tiles as one: pictures of different places, each with light of its own, side by side.",
     ]
     return [Table("Real sites, polygons drawn by hand", rows, notes)]
+
+
+def _site_rows(shown: str, site: Site, picture: Picture | Path) -> list[dict[str, object]]:
+    rows = []
+    for classes in SITE_CLASSES:
+        found = segment(picture, classes), baseline(site.rgb, site.valid, classes)
+        rows.append(_site_row(shown, classes, *(float(recalls(one, site.truth)[0].mean()) for one in found)))
+    return rows
+
+
+def _site_row(shown: str, classes: int, ours: float, plain: float) -> dict[str, object]:
+    better = PROGRAMS[0] if ours > plain else PROGRAMS[1] if plain > ours else "equal"
+    return {"site": shown, "K": classes, PROGRAMS[0]: ours, PROGRAMS[1]: plain, "better": better}
 
 
 def hue_classes(picture: Picture, classes: int) -> U8:
@@ -68,7 +80,7 @@ def hue_classes(picture: Picture, classes: int) -> U8:
     return spread(cells, picture.valid.shape, HUE_CELL_PX)
 
 
-def _accuracies(site: Site) -> dict[str, float]:
+def _accuracies(site: SyntheticSite) -> dict[str, float]:
     picture = Picture(site.rgb, site.valid)
     classes = len(np.unique(site.truth[site.valid]))
     found = {

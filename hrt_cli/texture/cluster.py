@@ -12,20 +12,14 @@ from hrt_cli.errors import ArgumentError
 from hrt_cli.texture.discriminate import Tile, discriminant, noise_whitening, pure
 from hrt_cli.texture.model import NOVEL_QUANTILE, TextureModel
 from hrt_cli.texture.settings import FeatureSettings
+from hrt_cli.texture.weigh import site_factors, unit_spread
 
 MAX_ROUNDS = 100
 MOST_CONSIDERED = 12
 _CONSIDERED_PATCHES = 8000
 RESTARTS = 20
 """K-means starts; one start leaves the answer to luck (ARI sd .08), twenty do not (.001)."""
-_SPREAD_FLOOR = 1e-3
-"""A channel that varies less than this (Lab units, log units) carries no information and is left out."""
 _DISTINCT_DECIMALS = 3
-_COLOUR_WEIGHTS = np.array([0.57, 1.3, 1.3]) / np.sqrt(3)
-"""Of L, a and b: at full weight of lightness a class is spent on the shadows of what is one ground."""
-_SCALE_WEIGHTS = (0.8, 1.0, 1.4, 1.0)
-"""Of four wavelengths, ascending: the shortest holds the noise of the camera, the third most of the ground."""
-_ONE_TEXTURE = "the image has one texture only: there is nothing to tell apart"
 MAX_POINTS = 20_000
 """Patches that K-means sees."""
 
@@ -45,6 +39,8 @@ class Sample:
         See `Patches`.
     tiles : list of Tile
         Where settings ask for a wide window: the tiles whose usable cells, in order, the patches are.
+    apart_cells : (int, int)
+        Cells along rows and columns that lie between wide windows which share nothing.
     """
 
     values: F64
@@ -52,6 +48,7 @@ class Sample:
     roughness: F64
     plain: NDArray[np.bool_]
     tiles: list[Tile] = field(default_factory=list)
+    apart_cells: tuple[int, int] = (1, 1)
 
     @classmethod
     def joined(cls, parts: list[Sample]) -> Sample:
@@ -62,6 +59,7 @@ class Sample:
             np.concatenate([one.roughness for one in parts]),
             np.concatenate([one.plain for one in parts]),
             [tile for one in parts for tile in one.tiles],
+            parts[0].apart_cells,
         )
 
 
@@ -219,9 +217,9 @@ def _points(sample: Sample, settings: FeatureSettings) -> F64:
         values = np.concatenate([one.patches for one in sample.tiles])
     centred = values - values.mean(axis=0)
     if settings.features == "site":
-        return np.asarray(centred * _site_scaling(centred, settings))
+        return np.asarray(centred * site_factors(sample.tiles, centred, settings, sample.apart_cells))
     if settings.features == "texture":
-        _scaling(centred)
+        unit_spread(centred)
         return _product(centred, noise_whitening(sample.tiles))
     return _product(centred, _whitening(centred))
 
@@ -232,32 +230,9 @@ def _thinned(points: F64, most: int, seed: int) -> F64:
     return points[np.sort(np.random.default_rng(seed).choice(len(points), most, replace=False))]
 
 
-def _scaling(centred: F64) -> F64:
-    """Return the factors that give channels unit spread."""
-    spread = centred.std(axis=0)
-    scale = np.where(spread > _SPREAD_FLOOR, 1 / np.maximum(spread, _SPREAD_FLOOR), 0.0)
-    if not scale.any():
-        raise ArgumentError(_ONE_TEXTURE)
-    return np.asarray(scale)
-
-
-def _site_scaling(centred: F64, settings: FeatureSettings) -> F64:
-    """Return the factors of colour and texture channels with which K-means' distance is fair."""
-    _, texture = settings.block_sizes
-    return np.asarray(_scaling(centred) * np.concatenate([_COLOUR_WEIGHTS, _scale_weights(settings, texture)]))
-
-
-def _scale_weights(settings: FeatureSettings, channels: int) -> F64:
-    """Return the weights of the texture channels, a unit in all."""
-    scales = len(settings.wavelengths_m)
-    per_scale = np.array(_SCALE_WEIGHTS) if scales == len(_SCALE_WEIGHTS) else np.ones(scales)
-    weights = np.repeat(per_scale, channels // scales)
-    return np.asarray(weights / np.sqrt((weights**2).sum()))
-
-
 def _whitening(centred: F64) -> F64:
     """Return PCA whitening of channels, standardised first, without directions that hardly vary."""
-    scale = _scaling(centred)
+    scale = unit_spread(centred)
     scaled = centred * scale
     values, vectors = np.linalg.eigh(_product(scaled.T, scaled.T) / len(scaled))
     kept = values > 1e-3 * values.max()

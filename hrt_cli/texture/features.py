@@ -15,6 +15,7 @@ from hrt_cli.texture.colour import hue_histogram, hue_votes, lab
 from hrt_cli.texture.lattice import gaussian_taps, smooth
 from hrt_cli.texture.measure import COLOUR, SHARE, TEXTURE
 from hrt_cli.texture.settings import FeatureSettings
+from hrt_cli.texture.weigh import APART_SIGMAS
 
 F32 = NDArray[np.float32]
 Taps = tuple[F32, F32]
@@ -126,6 +127,12 @@ class Windows:
             return rows, cols
         by_rows, by_cols = (len(taps) - 1 + _BORDER_CELLS for taps in self._fit_colour_taps)
         return rows + by_rows, cols + by_cols
+
+    @property
+    def apart_cells(self) -> tuple[int, int]:
+        """Cells along rows and columns that lie between windows of the fit which share nothing."""
+        rows, cols = (max(1, int(APART_SIGMAS * self.settings.fit_sigma_m / cell_m)) for cell_m in self._cell_m)
+        return rows, cols
 
     def patches(self, cells: F32) -> Patches:
         """Return the features of every cell but the halo.

@@ -263,6 +263,7 @@ def _draw(cells: Cells, windows: Windows, tile: Window, quota: int, rng: np.rand
         roughness=patches.roughness.ravel()[chosen].astype(np.float64),
         plain=patches.plain.ravel()[chosen],
         tiles=tiles,
+        apart_cells=windows.apart_cells,
     )
 
 

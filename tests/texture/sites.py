@@ -17,11 +17,19 @@ from hrt_cli.raster.image import open_image
 from hrt_cli.raster.windows import Window
 
 POLYGONS: dict[str, Any] = json.loads((Path(__file__).parent / "polygons.json").read_text(encoding="utf-8"))
-"""A site, which is a file or a folder of tiles (tile -> ...) -> label -> polygons as (column, row) pixels.
+"""A file, or a folder of tiles (tile -> ...) -> label -> polygons as (column, row) pixels.
+
+The tiles of a folder are pictures of different places, each with light of its own: each is a site, and `read_site`
+also lays them side by side for who wants them as one.
 
 Labels name what can be told from above at the scale of a patch: at SJER the road and bare slabs are one pale ground,
 and what is narrower than about 25 pixels (stones, the tyre track of the savanna) has none.
 """
+FOLDERS = [name for name in POLYGONS if "/" not in name]
+SITES = [name for name in POLYGONS if name not in FOLDERS] + [
+    f"{name}/{tile}" for name in FOLDERS for tile in POLYGONS[name]
+]
+"""Every file with polygons, as a path in the folder of the real data."""
 GAP_PX = 64
 """Tiles are laid beside one another with so much nodata between them."""
 
@@ -54,9 +62,11 @@ class Site:
 
 
 def read_site(data: Path, name: str) -> Site:
-    """Read a site of `POLYGONS` from the folder of the real data; the tiles of a folder lie side by side."""
+    """Read one of `SITES` from the folder of the real data, or a folder of `POLYGONS` with its tiles side by side."""
     if not (data / name).is_dir():
-        return _read(data / name, POLYGONS[name], list(POLYGONS[name]))
+        folder, _, tile = name.partition("/")
+        drawn = POLYGONS[name] if name in POLYGONS else POLYGONS[folder][tile]
+        return _read(data / name, drawn, list(drawn))
     labels = list(dict.fromkeys(label for drawn in POLYGONS[name].values() for label in drawn))
     tiles = [_read(path, POLYGONS[name].get(path.name, {}), labels) for path in sorted((data / name).glob("*.tif"))]
     around = ((GAP_PX, GAP_PX), (GAP_PX, GAP_PX))
