@@ -8,6 +8,7 @@ they are as short as the short ones; the gain of the halving is divided out of t
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -195,7 +196,7 @@ def columns_apart(image: F32) -> F32:
     return out
 
 
-def halve(image: F32) -> F32:
+def halve(image: F32, buffer: F32 | None = None) -> F32:
     """Halve an image along both axes with `HALVING_TAPS`, centred between pixels.
 
     Pixel j of the result stands for pixels 2j and 2j + 1; the outermost results, whose kernel would reach outside,
@@ -205,13 +206,23 @@ def halve(image: F32) -> F32:
     ----------
     image : ndarray [2, rows, cols / 2] float32
         From `columns_apart`; even numbers of rows and columns.
+    buffer : ndarray [n] float32, optional
+        Where to put the result, if it is large enough.
 
     Returns
     -------
     ndarray [2, rows / 2, cols / 4] float32
         In the same form; a last odd column is kept with a zero beside it.
     """
-    return _halve(image, np.array(HALVING_TAPS, np.float32))
+    out = shaped(buffer, (2, image.shape[1] // 2, (image.shape[2] + 1) // 2))
+    _halve(image, np.array(HALVING_TAPS, np.float32), out)
+    return out
+
+
+def shaped(buffer: F32 | None, shape: tuple[int, ...]) -> F32:
+    """Return the beginning of a flat buffer as an array, or a new array where it is too small."""
+    size = math.prod(shape)
+    return np.empty(shape, np.float32) if buffer is None or buffer.size < size else buffer[:size].reshape(shape)
 
 
 @njit(cache=True, nogil=True, fastmath={"contract"})
@@ -222,9 +233,8 @@ def _fold_four(out: F32, a1: F32, a2: F32, a3: F32, a4: F32, b1: F32, b2: F32, b
 
 
 @njit(cache=True, nogil=True)
-def _halve(image: F32, taps: F32) -> F32:
+def _halve(image: F32, taps: F32, out: F32) -> None:
     rows, cols = image.shape[1] // 2, image.shape[2]
-    out = np.zeros((2, rows, (cols + 1) // 2), np.float32)
     even, odd = np.empty(cols + 4, np.float32), np.empty(cols + 4, np.float32)
     line = np.empty(cols, np.float32)
     last = 2 * rows - 1
@@ -240,12 +250,12 @@ def _halve(image: F32, taps: F32) -> F32:
             even[edge], odd[edge] = even[2], even[2]
             even[cols + 2 + edge], odd[cols + 2 + edge] = odd[cols + 1], odd[cols + 1]
         _fold_four(line, even[2:], odd[1:], even[1:], odd[0:], odd[2:], even[3:], odd[3:], even[4:], taps)
+        first, second = out[0, r], out[1, r]
         for c in range(cols // 2):
-            out[0, r, c] = line[2 * c]
-            out[1, r, c] = line[2 * c + 1]
+            first[c] = line[2 * c]
+            second[c] = line[2 * c + 1]
         if cols % 2:
-            out[0, r, cols // 2] = line[cols - 1]
-    return out
+            first[cols // 2], second[cols // 2] = line[cols - 1], np.float32(0)
 
 
 def amplitudes(image: F32, filters: Filters, origin: tuple[int, int], per_cell: int, out: F32) -> None:

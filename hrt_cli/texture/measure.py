@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from hrt_cli.errors import ArgumentError
 from hrt_cli.raster.windows import ImageSource, Window
-from hrt_cli.texture.bank import MIN_WAVELENGTH_PX, GaborBank, amplitudes, halve
+from hrt_cli.texture.bank import MIN_WAVELENGTH_PX, GaborBank, amplitudes, halve, shaped
 from hrt_cli.texture.colour import LUMA, cell_means, luma
 from hrt_cli.texture.lattice import CellGrid, gaussian_taps, smooth
 from hrt_cli.texture.settings import FeatureSettings
@@ -133,7 +133,23 @@ class Gauge:
         rows, cols = (self._filter_cells[axis] + len(self._contrast_taps[axis]) for axis in (0, 1))
         return rows, cols
 
-    def measure(self, planes: U8, valid: NDArray[np.bool_], origin: tuple[int, int], cells: tuple[int, int]) -> F32:
+    @property
+    def _octaves(self) -> int:
+        return max(one.level for one in self.filters)
+
+    def buffers(self, shape: tuple[int, int]) -> list[F32]:
+        """Return room for the pyramid of planes of up to `shape` pixels."""
+        rows, cols = shape
+        return [np.empty((rows >> k) * ((cols >> k) + 2), np.float32) for k in range(self._octaves + 1)]
+
+    def measure(
+        self,
+        planes: U8,
+        valid: NDArray[np.bool_],
+        origin: tuple[int, int],
+        cells: tuple[int, int],
+        buffers: Sequence[F32] = (),
+    ) -> F32:
         """Measure a rectangle of cells.
 
         Parameters
@@ -145,6 +161,8 @@ class Gauge:
             Pixel at which the first cell starts; pixels for `reach_cells` around the cells must be there.
         cells : (int, int)
             Rows and columns of cells.
+        buffers : sequence of ndarray [n] float32
+            Where to put the levels of the pyramid, from `buffers`; new arrays would cost page faults.
 
         Returns
         -------
@@ -162,9 +180,12 @@ class Gauge:
             return out
         local, _ = smooth(luma(mean)[None], share, *self._contrast_taps)
         top, left = origin[0] - margin_r * step, origin[1] - margin_c * step
-        levels = [_relative_luma(planes, valid, local[0], step, top, left)]
-        for _ in range(max(one.level for one in self.filters)):
-            levels.append(halve(levels[-1]))
+        spare = iter(buffers)
+        rows, cols = ((n - 2) * step for n in local.shape[1:])
+        levels = [shaped(next(spare, None), (2, rows, cols // 2))]
+        _relative_luma(planes, valid, local[0], step, top, left, levels[0])
+        for _ in range(self._octaves):
+            levels.append(halve(levels[-1], next(spare, None)))
         found = np.empty((self.settings.orientations, *cells), np.float32)
         out[..., COLOUR] = mean[:, reach_r : reach_r + cells[0], reach_c : reach_c + cells[1]].transpose(1, 2, 0)
         out[..., SHARE] = inner
@@ -211,6 +232,7 @@ class Gauge:
         widest = max(b - a for a, b in itertools.pairwise(col_cuts))
         planes = np.zeros((3, keep_r + tallest, keep_c + widest), np.uint8)
         valid = np.zeros(planes.shape[1:], np.bool_)
+        buffers = self.buffers(valid.shape)
         kept_planes = np.zeros((3, keep_r, right - left), np.uint8)
         kept_valid = np.zeros((keep_r, right - left), np.bool_)
         above, ready = 0, rows[0]
@@ -235,7 +257,7 @@ class Gauge:
                     first * step - anchor_r - (y0 - above),
                     start * step - anchor_c - (x0 - beside),
                 )
-                cells = self.measure(planes, valid, origin, (done.rows, done.cols))
+                cells = self.measure(planes, valid, origin, (done.rows, done.cols), buffers)
                 inside = _rows_within(window, own).clipped(source.shape)
                 fresh = valid[above + inside.row - y0 :, beside + inside.col - x0 :]
                 yield Part.of(done, cells, inside, fresh[: inside.height, : inside.width])
@@ -270,14 +292,15 @@ def _mean_log(channels: F32) -> F32:
 
 
 @njit(cache=True, nogil=True)
-def _relative_luma(planes: U8, valid: NDArray[np.bool_], local: F32, step_px: int, top: int, left: int) -> F32:
-    """Return (luma + floor) / (local mean + floor) − 1, and 0 where invalid: [2, rows, cols / 2], even and odd columns.
+def _relative_luma(
+    planes: U8, valid: NDArray[np.bool_], local: F32, step_px: int, top: int, left: int, out: F32
+) -> None:
+    """Set `out` to (luma + floor) / (local mean + floor) − 1, and 0 where invalid: [2, rows, cols / 2], even and odd.
 
     `local` holds the mean of every cell wanted and of one more cell on each side; between cell centres the factor
     1 / (mean + floor) is interpolated bilinearly. `top` and `left` are the pixel at which the cells wanted start.
     """
     rows, cols = (local.shape[0] - 2) * step_px, (local.shape[1] - 2) * step_px
-    out = np.empty((2, rows, cols // 2), np.float32)
     half = step_px // 2
     factor = np.float32(1) / (local + np.float32(_LUMA_FLOOR))
     parts = ((np.arange(step_px) + 0.5) / step_px).astype(np.float32)
@@ -297,7 +320,6 @@ def _relative_luma(planes: U8, valid: NDArray[np.bool_], local: F32, step_px: in
         for c in range(cols // 2):
             even[c] = line[2 * c]
             odd[c] = line[2 * c + 1]
-    return out
 
 
 @njit(cache=True, nogil=True, fastmath={"contract"})
