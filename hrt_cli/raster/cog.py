@@ -24,7 +24,7 @@ import rasterio.shutil
 from numpy.typing import NDArray
 from rasterio._err import CPLE_BaseError
 from rasterio.enums import ColorInterp, Resampling
-from rasterio.errors import NotGeoreferencedWarning, RasterioError
+from rasterio.errors import NotGeoreferencedWarning, RasterioError, RasterioIOError
 from rasterio.io import DatasetReader, DatasetWriter
 from rasterio.windows import Window as RioWindow
 
@@ -99,17 +99,59 @@ class Layout:
     creation: Mapping[str, str] = field(default_factory=dict)
 
 
+class _RunningHash:
+    """The content of a raster of one band and without a mask, hashed as it is written from top to bottom.
+
+    Attributes
+    ----------
+    content : str or None
+        As `_content_of`, once all is written; None where it was not written so.
+    """
+
+    def __init__(self, dataset: DatasetWriter) -> None:
+        self._digest = _hash_header(dataset)
+        self._shape = dataset.shape
+        self._row, self._beside = 0, 0
+        self._band: NDArray[Any] | None = None
+        self._follows = dataset.count == 1 and dataset.nodata is not None
+
+    def add(self, window: Window, pixels: NDArray[Any]) -> None:
+        """Take the pixels [height, width] of the window beside the last one, or of the first of the rows below it."""
+        if self._band is None:
+            self._band = np.empty((window.height, self._shape[1]), pixels.dtype)
+        place = (window.row, window.col, window.height)
+        self._follows = self._follows and place == (self._row, self._beside, len(self._band))
+        if not self._follows:
+            return
+        self._band[:, window.col : window.col + window.width] = pixels
+        self._beside += window.width
+        if self._beside == self._shape[1]:
+            self._digest.update(self._band.data)
+            self._row, self._beside, self._band = self._row + window.height, 0, None
+
+    @property
+    def content(self) -> str | None:
+        return self._digest.hexdigest() if self._follows and self._row == self._shape[0] else None
+
+
 class CogWriter:
     """Takes the pixels of a raster being written, in any order of windows."""
 
     def __init__(self, dataset: DatasetWriter) -> None:
         self._dataset = dataset
+        self._running = _RunningHash(dataset)
         self.tags: dict[str, Any] = {}
+
+    @property
+    def content(self) -> str | None:
+        """The hash of what was written, where it is known without reading it back."""
+        return self._running.content
 
     def write(self, window: Window, pixels: NDArray[Any], valid: NDArray[np.bool_] | None = None) -> None:
         """Write `pixels` [band, height, width] (or [height, width] for one band), and the mask if there is one."""
         there = RioWindow(window.col, window.row, window.width, window.height)
         self._dataset.write(pixels if pixels.ndim == 3 else pixels[np.newaxis], window=there)
+        self._running.add(window, pixels if pixels.ndim == 2 else pixels[0])
         if valid is not None:
             self._dataset.write_mask(valid, window=there)
 
@@ -150,7 +192,7 @@ def publishing_cog(target: Path, grid: Grid, layout: Layout, provenance: Provena
                         _describe(dataset, layout)
                         writer = CogWriter(dataset)
                         yield writer
-                    digest = _content_of(work)
+                    digest = writer.content or _content_of(work)
                     _tag(work, {**layout.tags, **writer.tags}, provenance.with_content(digest))
                     _add_overviews(work, layout, creation)
                     work_bytes = work.stat().st_size
@@ -210,7 +252,11 @@ def _describe(dataset: DatasetWriter, layout: Layout) -> None:
 def _tag(work: Path, tags: Mapping[str, Any], provenance: Provenance) -> None:
     values = {key.upper(): canonical(value).decode() for key, value in tags.items()}
     values["PROVENANCE"] = canonical(provenance.model_dump(mode="json")).decode()
-    with rasterio.open(work, "r+") as dataset:
+    try:
+        dataset = rasterio.open(work, "r+")
+    except TypeError as error:  # what rasterio makes of a file whose header the disk had no room for
+        raise RasterioIOError(str(error)) from error
+    with dataset:
         dataset.update_tags(ns=_NAMESPACE, **values)
 
 
@@ -260,17 +306,21 @@ def _copy_to_cog(work: Path, draft: Path, layout: Layout, creation: Mapping[str,
 
 def _content_of(path: Path) -> str:
     """Hash shape, dtype, place, pixels and mask of a GeoTIFF, strip by strip."""
-    digest = hashlib.sha256()
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", NotGeoreferencedWarning)
         with rasterio.open(path) as dataset:
-            digest.update(f"{dataset.height}|{dataset.width}|{dataset.count}|{dataset.dtypes}".encode())
-            # The CRS by its code: its text differs between versions of PROJ.
-            code = dataset.crs.to_epsg() if dataset.crs else None
-            digest.update(json.dumps([repr(dataset.nodata), list(dataset.transform)[:6], code]).encode())
+            digest = _hash_header(dataset)
             for top in range(0, dataset.height, _STRIP_ROWS):
                 _hash_strip(dataset, digest, top)
     return digest.hexdigest()
+
+
+def _hash_header(dataset: DatasetReader | DatasetWriter) -> hashlib._Hash:
+    digest = hashlib.sha256(f"{dataset.height}|{dataset.width}|{dataset.count}|{dataset.dtypes}".encode())
+    # The CRS by its code: its text differs between versions of PROJ.
+    code = dataset.crs.to_epsg() if dataset.crs else None
+    digest.update(json.dumps([repr(dataset.nodata), list(dataset.transform)[:6], code]).encode())
+    return digest
 
 
 def _hash_strip(dataset: DatasetReader, digest: hashlib._Hash, top: int) -> None:

@@ -173,13 +173,17 @@ def _blank(
 
 @njit(cache=True, nogil=True)
 def _count(classes: U8) -> NDArray[np.int64]:
-    # Four tables in turn: neighbours are mostly alike, and adding to one place over and over would stall.
-    counts = np.zeros((4, 256), np.int64)
-    for y in range(classes.shape[0]):
-        line = classes[y]
-        for x in range(line.shape[0]):
-            counts[x & 3, line[x]] += 1
-    for value in range(256):
-        counts[0, value] += counts[1, value] + counts[2, value] + counts[3, value]
-    total: NDArray[np.int64] = counts[0].copy()
-    return total
+    counts = np.zeros(256, np.int64)
+    flat = classes.reshape(classes.size)
+    whole = classes.size // 8
+    # Neighbours are mostly alike: eight at once.
+    for eight in flat[: 8 * whole].view(np.uint64):
+        value = eight & np.uint64(255)
+        if eight == value * np.uint64(0x0101010101010101):
+            counts[value] += 8
+        else:
+            for k in range(8):
+                counts[(eight >> np.uint64(8 * k)) & np.uint64(255)] += 1
+    for one in flat[8 * whole :]:
+        counts[one] += 1
+    return counts
