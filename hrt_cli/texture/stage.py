@@ -27,7 +27,7 @@ from hrt_cli.texture.segment import SegmentSpec, SegmentStats, draw_sample, pred
 from hrt_cli.texture.start import spare_linear_algebra
 
 STAGE = "segment"
-STAGE_VERSION = 2
+STAGE_VERSION = 3
 
 
 @dataclass(frozen=True)

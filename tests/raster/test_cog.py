@@ -243,6 +243,45 @@ def test_the_bytes_depend_on_nothing_but_the_content(tmp_path: Path, name: str) 
     assert len(digests) == 1
 
 
+@pytest.mark.parametrize("order", ["rows", "backwards", "columns", "twice", "one missing"])
+def test_the_hash_of_what_is_written_is_that_of_what_is_read(tmp_path: Path, order: str) -> None:
+    rows, cols = 300, 410
+    pixels = pixels_of(CLASSES, rows, cols)
+    windows = list(blocks((rows, cols), 128))
+    windows = {
+        "rows": windows,
+        "backwards": windows[::-1],
+        "columns": sorted(windows, key=lambda one: one.col),
+        "twice": [*windows, windows[3]],
+        "one missing": windows[:-1],
+    }[order]
+    with publishing_cog(tmp_path / "a.tif", grid(rows, cols), CLASSES, provenance()) as writer:
+        for window in windows:
+            writer.write(window, pixels[(slice(None), *window.slices)])
+        assert (writer.content is not None) == (order == "rows")
+    found = cog_provenance(tmp_path / "a.tif")
+    assert found is not None
+    with rasterio.open(tmp_path / "a.tif") as raster:
+        written = raster.read()
+    assert np.array_equal(written[:, :256], pixels[:, :256])
+    assert np.array_equal(written, pixels) == (order != "one missing")
+
+
+def test_what_the_disk_lost_before_the_copy_is_noticed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    overviews = cog._add_overviews
+
+    def lossy(work: Path, *rest: Any) -> None:
+        with rasterio.open(work, "r+") as raster:
+            place = ((9, 10), (9, 10))
+            raster.write(np.uint8(254) - raster.read(window=place), window=place)
+        overviews(work, *rest)
+
+    monkeypatch.setattr(cog, "_add_overviews", lossy)
+    with pytest.raises(OutputError, match="does not read back as it was written"):
+        publish(tmp_path / "a.tif", "classes")
+    assert not any(tmp_path.iterdir())
+
+
 def test_side_cars_of_an_older_file_are_deleted(tmp_path: Path) -> None:
     path = tmp_path / "a.tif"
     for suffix in ("", ".msk", ".aux.xml", ".ovr"):
@@ -273,6 +312,13 @@ def test_creation_options_are_obeyed(tmp_path: Path) -> None:
     with open_raster(tmp_path / "a.tif") as raster:
         assert raster.compression == "lzw"
         assert raster.block_shape == (256, 256)
+
+
+@pytest.mark.parametrize(("name", "compression"), [("classes", "zstd"), ("scores", "deflate"), ("picture", "deflate")])
+def test_only_classes_are_stored_in_zstandard(tmp_path: Path, name: str, compression: str) -> None:
+    publish(tmp_path / "a.tif", name)
+    with open_raster(tmp_path / "a.tif") as raster:
+        assert raster.compression == compression
 
 
 @pytest.mark.parametrize("harm", ["zeros", "cut", "gone"])

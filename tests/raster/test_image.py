@@ -158,12 +158,21 @@ def test_planes_are_what_is_read_turned_round(tmp_path: Path, kind: str, window:
     with open_image(write_raster(tmp_path / "a.tif", pixels, **options)) as image:
         planes, valid = image.read_planes(window)
         rgb, valid_too = image.read(window)
+        room = (
+            np.full((3, window.height + 5, window.width + 9), 77, np.uint8),
+            np.ones((window.height, window.width), bool),
+        )
+        there = room[0][:, 2 : 2 + window.height, 4 : 4 + window.width]
+        image.read_planes(window, (there, room[1]))
     assert (planes.dtype, planes.shape, valid.shape) == (np.uint8, (3, window.height, window.width), valid_too.shape)
-    assert planes.flags.c_contiguous or kind == "grey"
-    assert all(plane.flags.c_contiguous for plane in planes)
+    assert planes.flags.c_contiguous
     assert rgb.flags.c_contiguous
     np.testing.assert_array_equal(np.moveaxis(planes, 0, -1), rgb)
     np.testing.assert_array_equal(valid, valid_too)
+    np.testing.assert_array_equal(room[1], valid)
+    np.testing.assert_array_equal(there[:, valid], planes[:, valid])
+    there[:] = 77
+    assert (room[0] == 77).all()
 
 
 class TestNodata:
