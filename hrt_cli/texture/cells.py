@@ -9,6 +9,7 @@ import threading
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +26,14 @@ F32 = NDArray[np.float32]
 
 ROWS_PX = 1024
 _MAX_ROWS_PX = 4096
+
+
+@dataclass
+class _Rows:
+    """Rows of cells being gathered, and how many columns of them are still missing."""
+
+    cells: F32
+    missing: int
 
 
 class Cells:
@@ -57,6 +66,7 @@ class Cells:
         self.grid = CellGrid.covering(Window(0, 0, *shape), anchor, self.gauge.step_px)
         self.valid_pixels = 0
         self._lock = threading.Lock()
+        self._gathered: dict[tuple[int, int], _Rows] = {}
         self._record = 4 * self.gauge.channels
         self._line = self.grid.cols * self._record
         self._mask_line = -(-shape[1] // 8)
@@ -71,13 +81,34 @@ class Cells:
 
     def put(self, part: Part) -> None:
         """Keep what a sweep found."""
-        for row, line in enumerate(part.cells, start=part.grid.row - self.grid.row):
-            self._write(line, row * self._line + (part.grid.col - self.grid.col) * self._record)
+        self._put_cells(part)
         with self._lock:
             self.valid_pixels += part.valid_pixels
         if part.invalid is not None:
             for row, bits in enumerate(part.invalid, start=part.window.row):
                 self._write(bits, self._mask_start + row * self._mask_line + part.window.col // 8)
+
+    def _put_cells(self, part: Part) -> None:
+        """Gather parts until they make whole rows, which lie together in the file."""
+        rows, left = (part.grid.row, part.grid.rows), part.grid.col - self.grid.col
+        with self._lock:
+            if rows not in self._gathered:
+                whole = np.empty((part.grid.rows, self.grid.cols, self.gauge.channels), np.float32)
+                self._gathered[rows] = _Rows(whole, self.grid.cols)
+            gathered = self._gathered[rows]
+        gathered.cells[:, left : left + part.grid.cols] = part.cells
+        with self._lock:
+            gathered.missing -= part.grid.cols
+            complete = gathered.missing == 0
+            if complete:
+                del self._gathered[rows]
+        if complete:
+            self._write(gathered.cells, (part.grid.row - self.grid.row) * self._line)
+
+    def require_whole(self) -> None:
+        """Make sure that no rows were left half gathered; a fault of the program if they were."""
+        if self._gathered:
+            raise RuntimeError(f"of the rows {sorted(self._gathered)} some columns were never measured")
 
     def read(self, grid: CellGrid) -> F32:
         """Return the measures of a rectangle of cells [channels, rows, cols]; zero outside the raster."""
@@ -166,6 +197,7 @@ def measured(
             _sweep_all(source, cells, rows_px, workers, progress)
         else:
             filler(cells, rows_px, progress)
+        cells.require_whole()
         yield cells
     finally:
         cells.close()

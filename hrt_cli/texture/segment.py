@@ -28,10 +28,10 @@ from hrt_cli.texture.vote import halo_cells, vote
 
 SAMPLE_TILE_PX = 512
 """Side of the tiles that the sample is drawn from; fixed, so that the sample depends on the seed alone."""
-MAX_SAMPLE_TILES = 64
+MAX_SAMPLE_TILES = 48
 MAX_SAMPLE = 40_000
 """Patches in all, unless neighbours count: then tiles are taken whole."""
-STRIP_PX = 4096
+STRIP_PX = 8192
 """Blocks of a row are worked on together up to this width."""
 _LOOK_AHEAD = 2
 """Blocks in work or waiting for their turn, per worker."""

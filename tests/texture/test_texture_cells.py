@@ -96,6 +96,21 @@ def test_reads_and_writes_in_pieces_are_carried_on(monkeypatch: pytest.MonkeyPat
     cells.close()
 
 
+def test_cells_that_were_never_measured_are_not_taken_for_nothing() -> None:
+    cells = empty((70, 77))
+    values = np.ones((cells.grid.rows, cells.grid.cols, cells.gauge.channels), np.float32)
+    valid = np.ones((70, 77), bool)
+    place = CellGrid(8, cells.grid.row, cells.grid.col, 2, 3)
+    cells.put(Part.of(place, values[:2, :3], Window(0, 0, 16, 24), valid[:16, :24]))
+    with pytest.raises(RuntimeError, match="never measured"):
+        cells.require_whole()
+    rest = CellGrid(8, cells.grid.row, cells.grid.col + 3, 2, cells.grid.cols - 3)
+    cells.put(Part.of(rest, values[:2, 3:], Window(0, 24, 16, 53), valid[:16, 24:]))
+    cells.require_whole()
+    assert (cells.read(CellGrid(8, cells.grid.row, cells.grid.col, 2, cells.grid.cols)) == 1).all()
+    cells.close()
+
+
 def test_several_threads_may_put_and_read() -> None:
     cells = empty((320, 301))
     rng = np.random.default_rng(1)
