@@ -183,17 +183,23 @@ def _pyramid_gain(frequency: NDArray[np.float64], level: int) -> NDArray[np.floa
     return gain
 
 
+def columns_apart(image: F32, buffer: F32 | None = None) -> F32:
+    """Return [2, rows, cols / 2]: the even and the odd columns of an image with an even number of columns.
+
+    They are put into `buffer`, a flat array, if that is large enough.
+    """
+    out = shaped(buffer, (2, image.shape[0], image.shape[1] // 2))
+    _split_columns(image, out)
+    return out
+
+
 @njit(cache=True, nogil=True)
-def columns_apart(image: F32) -> F32:
-    """Return [2, rows, cols / 2]: the even and the odd columns of an image with an even number of columns."""
-    rows, half = image.shape[0], image.shape[1] // 2
-    out = np.empty((2, rows, half), np.float32)
-    for r in range(rows):
+def _split_columns(image: F32, out: F32) -> None:
+    for r in range(out.shape[1]):
         line, even, odd = image[r], out[0, r], out[1, r]
-        for c in range(half):
+        for c in range(out.shape[2]):
             even[c] = line[2 * c]
             odd[c] = line[2 * c + 1]
-    return out
 
 
 def halve(image: F32, buffer: F32 | None = None) -> F32:
