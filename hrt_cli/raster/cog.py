@@ -41,6 +41,8 @@ TILE_PX = 512
 _NAMESPACE = "HRT"
 _STRIP_ROWS = 512
 _SPACE_LEFT = 64 * 1024
+_MOST_GATHERED = 2**24
+"""Pixels gathered to be hashed; of a wider raster what was written is read again, so that memory does not grow."""
 
 # GDAL's own errors reach us bare from some of rasterio's functions (`rasterio.shutil.copy` on a full disk).
 _GDAL_ERRORS = (RasterioError, CPLE_BaseError)
@@ -117,11 +119,15 @@ class _RunningHash:
 
     def add(self, window: Window, pixels: NDArray[Any]) -> None:
         """Take the pixels [height, width] of the window beside the last one, or of the first of the rows below it."""
+        if not self._follows or window.height * self._shape[1] > _MOST_GATHERED:
+            self._follows = False
+            return
         if self._band is None:
             self._band = np.empty((window.height, self._shape[1]), pixels.dtype)
         place = (window.row, window.col, window.height)
         self._follows = self._follows and place == (self._row, self._beside, len(self._band))
         if not self._follows:
+            self._band = None
             return
         self._band[:, window.col : window.col + window.width] = pixels
         self._beside += window.width

@@ -66,7 +66,7 @@ class Cells:
         self.grid = CellGrid.covering(Window(0, 0, *shape), anchor, self.gauge.step_px)
         self.valid_pixels = 0
         self._lock = threading.Lock()
-        self._gathered: dict[tuple[int, int], _Rows] = {}
+        self._gathered: dict[tuple[int, int, int], _Rows] = {}
         self._record = 4 * self.gauge.channels
         self._line = self.grid.cols * self._record
         self._mask_line = -(-shape[1] // 8)
@@ -89,21 +89,29 @@ class Cells:
                 self._write(bits, self._mask_start + row * self._mask_line + part.window.col // 8)
 
     def _put_cells(self, part: Part) -> None:
-        """Gather parts until they make whole rows, which lie together in the file."""
-        rows, left = (part.grid.row, part.grid.rows), part.grid.col - self.grid.col
+        """Gather parts until they make whole rows of what is swept at once: longer pieces of the file."""
+        first, last = part.columns or (self.grid.col, self.grid.col + self.grid.cols)
+        place, left = (part.grid.row, part.grid.rows, first), part.grid.col - first
         with self._lock:
-            if rows not in self._gathered:
-                whole = np.empty((part.grid.rows, self.grid.cols, self.gauge.channels), np.float32)
-                self._gathered[rows] = _Rows(whole, self.grid.cols)
-            gathered = self._gathered[rows]
+            if place not in self._gathered:
+                whole = np.empty((part.grid.rows, last - first, self.gauge.channels), np.float32)
+                self._gathered[place] = _Rows(whole, last - first)
+            gathered = self._gathered[place]
         gathered.cells[:, left : left + part.grid.cols] = part.cells
         with self._lock:
             gathered.missing -= part.grid.cols
             complete = gathered.missing == 0
             if complete:
-                del self._gathered[rows]
+                del self._gathered[place]
         if complete:
-            self._write(gathered.cells, (part.grid.row - self.grid.row) * self._line)
+            self._write_rows(gathered.cells, part.grid.row - self.grid.row, first - self.grid.col)
+
+    def _write_rows(self, cells: F32, row: int, col: int) -> None:
+        if cells.shape[1] == self.grid.cols:
+            self._write(cells, row * self._line)
+            return
+        for number, line in enumerate(cells, start=row):
+            self._write(line, number * self._line + col * self._record)
 
     def require_whole(self) -> None:
         """Make sure that no rows were left half gathered; a fault of the program if they were."""

@@ -34,6 +34,7 @@ _FACTORS = 8
 """So many amplitudes, which are above the floor, multiply to a number that single precision holds."""
 _LUMA_FLOOR = 8.0
 """Added to the local mean luma before dividing by it, so that deep shadow is not all noise."""
+_STRIPE_PX = 16_384
 _COLUMNS_PX = 2048
 """Columns measured at once, so that what is in work stays small."""
 COLOUR = slice(0, 3)
@@ -58,6 +59,8 @@ class Part:
         How many of them hold data.
     invalid : ndarray [height, width / 8] uint8 or None
         Which of them do not, eight to a byte; None where all do.
+    columns : (int, int) or None
+        First and last (exclusive) column of the cells that are swept at once, of which these are some; None for all.
     """
 
     grid: CellGrid
@@ -65,12 +68,21 @@ class Part:
     window: Window
     valid_pixels: int
     invalid: U8 | None
+    columns: tuple[int, int] | None = None
 
     @classmethod
-    def of(cls, grid: CellGrid, cells: F32, window: Window, valid: NDArray[np.bool_]) -> Part:
+    def of(
+        cls,
+        grid: CellGrid,
+        cells: F32,
+        window: Window,
+        valid: NDArray[np.bool_],
+        columns: tuple[int, int] | None = None,
+    ) -> Part:
         """Return a part with the mask `valid` [height, width] packed."""
         count = int(np.count_nonzero(valid))
-        return cls(grid, cells, window, count, None if count == valid.size else np.packbits(~valid, axis=1))
+        invalid = None if count == valid.size else np.packbits(~valid, axis=1)
+        return cls(grid, cells, window, count, invalid, columns)
 
 
 class Gauge:
@@ -206,6 +218,9 @@ class Gauge:
     def sweep(self, source: ImageSource, rows: tuple[int, int], rows_px: int) -> Iterator[Part]:
         """Measure whole rows of cells, top to bottom, reading each pixel once.
 
+        A wide raster is swept in stripes, so that what is held does not grow with its width; pixels within reach of
+        where stripes meet are read twice.
+
         Parameters
         ----------
         source : ImageSource
@@ -219,12 +234,23 @@ class Gauge:
         Part
             The measures do not depend on how the sweep is cut.
         """
+        grid = self.grid(source)
+        count = -(-grid.cols * self.step_px // _STRIPE_PX)
+        edges = [grid.col + grid.cols * k // count for k in range(count + 1)]
+        for columns in itertools.pairwise(edges):
+            yield from self._sweep_stripe(source, rows, columns, rows_px)
+
+    def _sweep_stripe(
+        self, source: ImageSource, rows: tuple[int, int], columns: tuple[int, int], rows_px: int
+    ) -> Iterator[Part]:
         step, grid, (anchor_r, anchor_c) = self.step_px, self.grid(source), source.anchor
         reach_r, reach_c = (cells * step for cells in self.reach_cells)
-        left = grid.col * step - anchor_c - reach_c
-        right = (grid.col + grid.cols) * step - anchor_c + reach_c
+        left, right = columns[0] * step - anchor_c - reach_c, columns[1] * step - anchor_c + reach_c
         top, bottom = rows[0] * step - anchor_r - reach_r, rows[1] * step - anchor_r + reach_r
-        own = (rows[0] * step - anchor_r, rows[1] * step - anchor_r)
+        # Masks are kept eight pixels to a byte, and stripes share none.
+        begin = 0 if columns[0] == grid.col else (columns[0] * step - anchor_c) // 8 * 8
+        end = source.shape[1] if columns[1] == grid.col + grid.cols else (columns[1] * step - anchor_c) // 8 * 8
+        own = Window(rows[0] * step - anchor_r, begin, (rows[1] - rows[0]) * step, end - begin)
         # What must stay for the next strip below, or chunk beside: both reaches and the rest of a cell.
         keep_r, keep_c = 2 * reach_r + step, 2 * reach_c + step
         row_cuts, col_cuts = _cuts(top, bottom, rows_px), _cuts(left, right, _COLUMNS_PX)
@@ -240,7 +266,7 @@ class Gauge:
             height = above + y1 - y0
             below = min(keep_r, height)
             first, ready = ready, rows[1] if y1 == bottom else max(ready, (y1 - reach_r + anchor_r) // step)
-            beside, begun = 0, grid.col
+            beside, begun = 0, columns[0]
             for x0, x1 in itertools.pairwise(col_cuts):
                 width = beside + x1 - x0
                 window = Window(y0, x0, y1 - y0, x1 - x0)
@@ -251,16 +277,16 @@ class Gauge:
                 kept_planes[:, :below, x0 - left : x1 - left] = planes[:, height - below : height, there]
                 kept_valid[:below, x0 - left : x1 - left] = valid[height - below : height, there]
                 start = begun
-                begun = grid.col + grid.cols if x1 == right else max(begun, (x1 - reach_c + anchor_c) // step)
+                begun = columns[1] if x1 == right else max(begun, (x1 - reach_c + anchor_c) // step)
                 done = CellGrid(step, first, start, ready - first, begun - start)
                 origin = (
                     first * step - anchor_r - (y0 - above),
                     start * step - anchor_c - (x0 - beside),
                 )
                 cells = self.measure(planes, valid, origin, (done.rows, done.cols), buffers)
-                inside = _rows_within(window, own).clipped(source.shape)
+                inside = _shared(window, own).clipped(source.shape)
                 fresh = valid[above + inside.row - y0 :, beside + inside.col - x0 :]
-                yield Part.of(done, cells, inside, fresh[: inside.height, : inside.width])
+                yield Part.of(done, cells, inside, fresh[: inside.height, : inside.width], columns)
                 stay = min(keep_c, width)
                 planes[:, :height, :stay] = planes[:, :height, width - stay : width].copy()
                 valid[:height, :stay] = valid[:height, width - stay : width].copy()
@@ -268,9 +294,11 @@ class Gauge:
             above = below
 
 
-def _rows_within(window: Window, rows: tuple[int, int]) -> Window:
-    top, bottom = max(window.row, rows[0]), min(window.row + window.height, rows[1])
-    return Window(top, window.col, max(bottom - top, 0), window.width)
+def _shared(one: Window, other: Window) -> Window:
+    top, left = max(one.row, other.row), max(one.col, other.col)
+    bottom = min(one.row + one.height, other.row + other.height)
+    right = min(one.col + one.width, other.col + other.width)
+    return Window(top, left, max(bottom - top, 0), max(right - left, 0))
 
 
 def _cuts(begin: int, end: int, size: int) -> list[int]:

@@ -31,7 +31,7 @@ SAMPLE_TILE_PX = 512
 MAX_SAMPLE_TILES = 48
 MAX_SAMPLE = 40_000
 """Patches in all, unless neighbours count: then tiles are taken whole."""
-STRIP_PX = 8192
+STRIP_PX = 4096
 """Blocks of a row are worked on together up to this width."""
 _LOOK_AHEAD = 2
 """Blocks in work or waiting for their turn, per worker."""

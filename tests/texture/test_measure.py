@@ -171,11 +171,11 @@ cut_lists = st.lists(st.floats(0, 1), max_size=3)
 @settings(max_examples=40)
 @given(
     st.integers(0, 99), st.integers(1, 140), st.integers(1, 170), st.tuples(st.integers(0, 99), st.integers(0, 9999)),
-    st.sampled_from([2, 4, 8, 16]), st.integers(16, 200), st.integers(4, 30), cut_lists,
+    st.sampled_from([2, 4, 8, 16]), st.integers(16, 200), st.integers(4, 30), st.integers(20, 200), cut_lists,
 )  # fmt: skip
 def test_the_cells_do_not_depend_on_how_the_sweep_is_cut(
     seed: int, rows: int, cols: int, anchor: tuple[int, int], step_px: int, rows_px: int, columns: int,
-    cuts: list[float],
+    stripe: int, cuts: list[float],
 ) -> None:  # fmt: skip
     source = ragged(rows, cols, seed)
     source.anchor = anchor
@@ -186,6 +186,7 @@ def test_the_cells_do_not_depend_on_how_the_sweep_is_cut(
     whole_rows = sorted(int(cut * gauge.grid(source).rows) for cut in cuts)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(measure, "_COLUMNS_PX", 8 * columns)
+        patch.setattr(measure, "_STRIPE_PX", stripe)
         again, valid = swept(source, gauge, rows_px, whole_rows)
     assert np.array_equal(again, expected)
     assert np.array_equal(valid, source.valid)
