@@ -272,12 +272,14 @@ def amplitudes(image: F32, filters: Filters, origin: tuple[int, int], per_cell: 
     image : ndarray [2, rows, cols / 2] float32
         The pyramid level the filters are for, from `columns_apart` or `halve`.
     origin : (int, int)
-        Level pixel of the image at which cell (0, 0) starts.
+        Level pixel of the image at which cell (0, 0) starts; its column is a multiple of the stride.
     per_cell : int
         Level pixels per cell side.
     out : ndarray [orientations, rows, cols] float32
         Receives the result. A wave of amplitude a at the filter's centre answers a/2.
     """
+    if origin[1] % filters.stride:
+        raise ValueError(f"cells start at column {origin[1]}, no multiple of the stride {filters.stride}")
     if filters.stride == 1:
         image = np.ascontiguousarray(image.transpose(1, 2, 0)).reshape(1, image.shape[1], -1)
     _amplitude_cells(
@@ -333,6 +335,7 @@ def _row_pass(p: F32, r: int, even_taps: F32, odd_taps: F32, even: F32, odd: F32
 
 @njit(cache=True, nogil=True, forceinline=True)
 def _taps_of_columns(p: F32, c: int, stride: int, even_taps: F32, odd_taps: F32, even: F32, odd: F32) -> None:
+    """See `_column_pass`: tap k of a sample at phase 0 stands at phase k mod stride, k // stride samples on."""
     n, whole = even.shape[0], _GROUP // stride
     near, middle, far = 1 // stride, 2 // stride, 3 // stride
     i, j = c // stride, c // stride - whole
@@ -391,24 +394,19 @@ def _cell_means(line: F32, samples: int, share: np.float32, out: F32) -> None:
 
 @njit(cache=True, nogil=True)
 def _deal(line: F32, phase: int, phases: int, out: F32) -> None:
-    """Deal the samples of a line out in turn to every `phases`-th row of `out`, from row `phase` on."""
-    turns, count = out.shape[0] // phases, line.shape[0]
-    if turns == 1:
+    """Deal the samples of a line out in turn to the rows phase, phase + phases, ... of `out`: one or two of them."""
+    count = line.shape[0]
+    if out.shape[0] == phases:
         only = out[phase]
         for c in range(count):
             only[c] = line[c]
-    elif turns == 2:
-        first, second = out[phase], out[phase + phases]
-        for c in range(count // 2):
-            first[c] = line[2 * c]
-            second[c] = line[2 * c + 1]
-        if count % 2:
-            first[count // 2] = line[count - 1]
-    else:
-        for turn in range(turns):
-            row = out[phase + turn * phases]
-            for c in range((count - turn + turns - 1) // turns):
-                row[c] = line[c * turns + turn]
+        return
+    first, second = out[phase], out[phase + phases]
+    for c in range(count // 2):
+        first[c] = line[2 * c]
+        second[c] = line[2 * c + 1]
+    if count % 2:
+        first[count // 2] = line[count - 1]
 
 
 @njit(cache=True, nogil=True)

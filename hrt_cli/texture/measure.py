@@ -35,6 +35,7 @@ _FACTORS = 8
 _LUMA_FLOOR = 8.0
 """Added to the local mean luma before dividing by it, so that deep shadow is not all noise."""
 _STRIPE_PX = 16_384
+"""Columns swept at once at most: the rows kept for the strip below are as wide."""
 _COLUMNS_PX = 2048
 """Columns measured at once, so that what is in work stays small."""
 COLOUR = slice(0, 3)

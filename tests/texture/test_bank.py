@@ -37,6 +37,13 @@ def test_the_finest_level_agrees_with_the_full_kernel() -> None:
         assert np.abs(got - expected).max() < 2e-5 * expected.mean()
 
 
+def test_cells_that_start_between_samples_are_a_fault() -> None:
+    (one,) = GaborBank((4.0,), 6).filters((1.0, 1.0), 8)
+    assert one.stride == 4
+    with pytest.raises(ValueError, match="no multiple of the stride 4"):
+        amplitudes(columns_apart(np.zeros((64, 64), np.float32)), one, (16, 18), 8, np.empty((6, 2, 2), np.float32))
+
+
 def test_pixels_that_are_not_square() -> None:
     image = np.random.default_rng(2).normal(size=(120, 120))
     pixel_m = (0.05, 0.03)
