@@ -20,7 +20,8 @@ from process_cost import process_cost
 from skimage.filters import gabor, gabor_kernel
 from tables import Effort, Table, cpu_seconds
 
-from hrt_cli.texture.bank import KERNEL_REACH, SIGMA_OVER_LAMBDA, GaborBank, amplitudes, columns_apart, halve
+from hrt_cli.texture.bank import KERNEL_REACH, SIGMA_OVER_LAMBDA, GaborBank
+from hrt_cli.texture.passes import amplitudes, columns_apart, halve
 from hrt_cli.texture.settings import PRESETS
 
 WAVELENGTHS_PX = (4.0, 8.0, 16.0, 32.0)

@@ -17,9 +17,10 @@ from numpy.typing import NDArray
 
 from hrt_cli.errors import ArgumentError
 from hrt_cli.raster.windows import ImageSource, Window
-from hrt_cli.texture.bank import MIN_WAVELENGTH_PX, GaborBank, amplitudes, halve, shaped
+from hrt_cli.texture.bank import MIN_WAVELENGTH_PX, GaborBank
 from hrt_cli.texture.colour import LUMA, cell_means, luma
 from hrt_cli.texture.lattice import CellGrid, gaussian_taps, smooth
+from hrt_cli.texture.passes import amplitudes, halve, shaped
 from hrt_cli.texture.settings import FeatureSettings
 
 F32 = NDArray[np.float32]

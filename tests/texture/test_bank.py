@@ -8,7 +8,8 @@ from gabor_reference import photograph, reference
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter, uniform_filter
 
-from hrt_cli.texture.bank import HALVING_TAPS, Filters, GaborBank, amplitudes, columns_apart, halve
+from hrt_cli.texture.bank import HALVING_TAPS, Filters, GaborBank
+from hrt_cli.texture.passes import amplitudes, columns_apart, halve
 
 F64 = NDArray[np.float64]
 
