@@ -15,7 +15,6 @@ import errno
 import fcntl
 import os
 import shutil
-import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
@@ -23,7 +22,8 @@ from pathlib import Path
 from hrt_cli.errors import OutputError
 
 _LOCK = ".lock"
-_RANDOM_CHARS = 8  # of the names that `tempfile.mkdtemp` makes
+_RANDOM_CHARS = 8
+"""At the end of the names of work folders."""
 _MAX_NAME_BYTES = 255
 _STALE_SIDECARS = (".msk", ".aux.xml", ".ovr", ".ovr.msk", ".msk.ovr")
 
@@ -103,13 +103,23 @@ def _work_folder(target: Path) -> Iterator[Path]:
     with ExitStack() as stack:
         with _alone_in(target.parent):
             sweep(target)
-            # mkdtemp makes 0700 folders; the files inside are created with the user's umask.
-            work = Path(tempfile.mkdtemp(prefix=_work_prefix(target), dir=target.parent))
+            work = _unused(target)
+            # Before the folder is there: a signal may come at any moment.
             stack.callback(shutil.rmtree, work, ignore_errors=True)
+            # The files inside are created with the user's umask.
+            work.mkdir(0o700)
             lock = stack.enter_context(open(work / _LOCK, "ab"))
             with suppress(OSError):
                 fcntl.flock(lock, fcntl.LOCK_EX)
         yield work
+
+
+def _unused(target: Path) -> Path:
+    """Name a work folder that does not exist, in a folder in which no other process makes one now."""
+    while True:
+        work = target.parent / f"{_work_prefix(target)}{os.urandom(_RANDOM_CHARS // 2).hex()}"
+        if not os.path.lexists(work):
+            return work
 
 
 @contextmanager

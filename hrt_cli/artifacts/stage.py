@@ -70,12 +70,14 @@ def begin(
     for path in outputs:
         check_target(path, list(inputs.values()))
     provenance = record(stage, stage_version, parameters, inputs)
+    if existing.force:
+        return Job(provenance, up_to_date=False)
     states = {path: _is_current(path, read, provenance) for path, read in outputs.items() if path.exists()}
-    if len(states) == len(outputs) and all(states.values()) and not existing.force:
+    if len(states) == len(outputs) and all(states.values()):
         freshen(list(outputs), list(inputs.values()))
         return Job(provenance, up_to_date=True)
     for path, current in states.items():
-        if not (current or existing.overwrite or existing.force):
+        if not (current or existing.overwrite):
             raise OutputError(f"{path}: exists and was not made by this run; use --overwrite to replace it")
     return Job(provenance, up_to_date=False)
 

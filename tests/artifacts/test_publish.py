@@ -365,3 +365,18 @@ def test_a_folder_that_cannot_be_written_is_refused(tmp_path: Path, monkeypatch:
     monkeypatch.setattr(os, "access", lambda path, mode: not mode & os.W_OK)
     with pytest.raises(OutputError, match="cannot be written"):
         check_target(tmp_path / "out.tif", [])
+
+
+def test_a_signal_just_after_the_folder_was_made_leaves_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    really = Path.mkdir
+
+    def mkdir(path: Path, *args: int) -> None:
+        really(path, *args)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(Path, "mkdir", mkdir)
+    with pytest.raises(KeyboardInterrupt), publishing(tmp_path / "out.txt", lambda draft: None):
+        pass
+    assert not any(tmp_path.iterdir())
