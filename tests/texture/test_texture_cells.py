@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from hrt_cli.progress import Progress
 from hrt_cli.raster.windows import Window
+from hrt_cli.texture import measure
 from hrt_cli.texture.cells import Cells, measured, row_shares, rows_at_once
 from hrt_cli.texture.lattice import CellGrid
 from hrt_cli.texture.measure import Part
@@ -109,6 +110,21 @@ def test_cells_that_were_never_measured_are_not_taken_for_nothing() -> None:
     cells.require_whole()
     assert (cells.read(CellGrid(8, cells.grid.row, cells.grid.col, 2, cells.grid.cols)) == 1).all()
     cells.close()
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_stripes_of_a_wide_raster_make_one_whole(monkeypatch: pytest.MonkeyPatch, workers: int) -> None:
+    rng = np.random.default_rng(2)
+    source = ArraySource(patchwork(90, 400), rng.random((90, 400)) < 0.95, anchor=(3, 1005))
+    whole = Window(0, 0, 90, 400)
+    with measured(source, SETTINGS, rows_px=40) as cells:
+        expected = cells.read(cells.grid), cells.read_valid(whole), cells.valid_pixels
+    monkeypatch.setattr(measure, "_STRIPE_PX", 130)
+    with measured(source, SETTINGS, rows_px=40, workers=workers) as cells:
+        assert np.array_equal(cells.read(cells.grid), expected[0])
+        assert np.array_equal(cells.read_valid(whole), expected[1])
+        assert cells.valid_pixels == expected[2]
+    assert np.array_equal(expected[1], source.valid)
 
 
 def test_several_threads_may_put_and_read() -> None:

@@ -89,6 +89,12 @@ def test_trust_is_a_share_and_chroma_keeps_its_own(persisting: NDArray[np.float6
         assert factors[0] == 1
 
 
+def test_trust_by_hand() -> None:
+    # Chroma .48 + .02 = .5, half of it .25; lightness .1 + .02 over it is .48, texture .03 + .02 is .2.
+    found = trust(np.array([0.1, 0.46, 0.5, 0.02, 0.04]))
+    assert found == pytest.approx([0.48**2, 1, 1, 0.2**2, 0.2**2])
+
+
 def test_texture_that_is_only_shade_counts_little() -> None:
     rng = np.random.default_rng(5)
     ground = np.repeat(np.repeat(rng.normal(size=(3, 4, 4)), 16, axis=1), 16, axis=2)
