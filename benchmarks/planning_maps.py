@@ -1,7 +1,8 @@
 """Score maps that the planner was never trained on: what it is measured on.
 
 None of these families is among those of `hrt_cli.planning.families`. Each is what a survey finds: hot spots, a
-density, the trail of a plume, the veins of a reef, a network of tracks, colonies on bare ground, a shore. All are float64 in [0, 1]
+density, the trail of a plume, the veins of a reef, a network of tracks, colonies on bare ground, a
+shore. All are float64 in [0, 1]
 with NaN for no-go cells.
 """
 
