@@ -12,7 +12,8 @@ from hrt_cli.artifacts.stage import Existing
 from hrt_cli.progress import Console
 
 if TYPE_CHECKING:
-    from hrt_cli.artifacts.plan import PlanDocument
+    from hrt_cli.artifacts.plan import PlanDocument, TeamPlanDocument
+    from hrt_cli.planning.stage import Planned
 
 METHODS = ("refined", "policy", "policy-sample", "greedy", "rectangle", "lawnmower", "spiral", "random")
 
@@ -24,11 +25,17 @@ Example:
   hrt segment site/ortho.tif -o site/classes.tif --classes 5
   hrt scoremap site/classes.tif -o site/scoremap.tif
   hrt plan site/scoremap.tif -o site/plan.json --start auto --budget 200
+  hrt plan site/scoremap.tif -o site/team.json --start auto --budget 100 --robots 2 --return-home
 """
 )
 @click.argument("scoremap", type=opt.PATH)
 @opt.output_opt
-@click.option("--start", required=True, help="cell:ROW,COL, lonlat:LON,LAT, xy:X,Y (the map's CRS), or auto.")
+@click.option(
+    "--start",
+    "starts",
+    multiple=True,
+    help="cell:ROW,COL, lonlat:LON,LAT, xy:X,Y (the map's CRS), or auto; with --robots once, or once for each.",
+)
 @click.option("--budget", required=True, help="Steps (250), metres (400m) or minutes (15min, with --speed).")
 @click.option("--method", type=click.Choice(METHODS), default="refined", show_default=True, help="Who plans.")
 @click.option(
@@ -43,6 +50,21 @@ Example:
 )
 @click.option("--connectivity", type=click.Choice(["4", "8"]), default="4", show_default=True, help="Neighbours.")
 @click.option("--return-home", is_flag=True, help="End where the path starts.")
+@click.option("--end", "ends", multiple=True, help="Where the path must end, as for --start. Default: anywhere.")
+@click.option(
+    "--robots",
+    type=click.IntRange(1, 64),
+    default=1,
+    show_default=True,
+    help="Share the cells out among so many robots, each with the whole budget; their plans stand beside OUTPUT.",
+)
+@click.option(
+    "--visited",
+    type=opt.PATH,
+    multiple=True,
+    help="Log (.jsonl, .csv) of a drive to go on from: cells it went through pay nothing, what it spent is taken off "
+    "the budget, cells where it got stuck become no-go; one for all robots, or one for each.",
+)
 @click.option(
     "--speed",
     "speed_m_s",
@@ -66,13 +88,16 @@ Example:
 def plan(
     scoremap: Path,
     output: Path,
-    start: str,
+    starts: tuple[str, ...],
     budget: str,
     method: str,
     objective: str,
     gamma: float,
     connectivity: str,
     return_home: bool,
+    ends: tuple[str, ...],
+    robots: int,
+    visited: tuple[Path, ...],
     speed_m_s: float,
     policy_path: Path | None,
     effort: float,
@@ -92,29 +117,42 @@ def plan(
     from hrt_cli.planning.stage import PlanRequest, plan_file
 
     request = PlanRequest(
-        start=parse_start(start),
+        starts=tuple(parse_start(text) for text in starts),
         budget=parse_budget(budget),
         method=method,
         objective=cast(Literal["total", "discounted"], objective),
         gamma=gamma,
         connectivity=8 if connectivity == "8" else 4,
         return_home=return_home,
+        ends=tuple(parse_start(text, "--end") for text in ends),
+        robots=robots,
         speed_m_s=speed_m_s,
         effort=effort,
         samples=samples,
         seed=seed,
     )
     with console.bar("plan") as progress:
-        done = plan_file(scoremap, output, request, policy_path=policy_path, existing=existing, progress=progress)
+        done = plan_file(
+            scoremap,
+            output,
+            request,
+            policy_path=policy_path,
+            visited=visited,
+            existing=existing,
+            progress=progress,
+        )
+    for note in done.notes:
+        console.note(f"Note: {note}")
     if figure is not None:
         from hrt_cli.report.overlay import draw_plan
 
         draw_plan(output, scoremap, figure, backdrop=backdrop, existing=existing)
-    found = done.document
+    found, waypoints = done.document, sum(len(each.waypoints) for each in done.robots)
     state = "up to date" if done.up_to_date else f"{done.seconds:.1f} s"
+    team = f"{robots} robots, " if robots > 1 else ""
     console.result(
-        f"{output}: {found.method}, {_value(found)}, "
-        f"{found.steps} steps, {found.length_m:.0f} m, {len(found.waypoints)} waypoints ({state})",
+        f"{output}: {found.method}, {team}{_value(found)}, "
+        f"{found.steps} steps, {found.length_m:.0f} m, {waypoints} waypoints ({state})",
         {
             "output": str(output),
             "up_to_date": done.up_to_date,
@@ -128,14 +166,34 @@ def plan(
             "steps": found.steps,
             "length_m": found.length_m,
             "time_s": found.time_s,
-            "start": list(found.start),
-            "waypoints": len(found.waypoints),
+            "start": list(done.robots[0].start),
+            "waypoints": waypoints,
             "seconds": done.seconds,
-        },
+        }
+        | ({} if robots == 1 else {"robots": _robots(output, done)}),
     )
 
 
-def _value(found: PlanDocument) -> str:
+def _robots(output: Path, done: Planned) -> list[dict[str, object]]:
+    """Say what each robot of a team does; its score is what it adds to the team's."""
+    from hrt_cli.artifacts.plan import TeamPlanDocument
+
+    team = cast(TeamPlanDocument, done.document)
+    return [
+        {
+            "output": str(output.with_name(member.plan)),
+            "start": list(member.start),
+            "score": member.score,
+            "steps": member.steps,
+            "length_m": member.length_m,
+            "time_s": member.time_s,
+            "waypoints": member.waypoints,
+        }
+        for member in team.robots
+    ]
+
+
+def _value(found: PlanDocument | TeamPlanDocument) -> str:
     """Say what the plan is worth in terms of what it was planned for."""
     if found.discounted_upper_bound is None:
         return f"score {found.score:.2f} of at most {found.upper_bound:.2f} (gap {found.gap:.1%})"

@@ -23,6 +23,14 @@ def silent(done: int, total: int) -> None:
     """Ignore progress: the default of every library function that takes a `Progress`."""
 
 
+Note = Callable[[str], None]
+"""A callback that takes one line for the user that is not the result."""
+
+
+def unheard(text: str) -> None:
+    """Drop a note: the default of every library function that takes a `Note`."""
+
+
 @dataclass(frozen=True)
 class Console:
     """How one command talks to its user.

@@ -45,9 +45,14 @@ def read_model(path: Path, model: type[M]) -> M:
     try:
         return model.model_validate_json(text)
     except ValidationError as error:
-        first = error.errors()[0]
-        where = ".".join(str(part) for part in first["loc"]) or "the document"
-        raise InputError(path, f"{where}: {first['msg']}") from error
+        raise InputError(path, describe(error)) from error
+
+
+def describe(error: ValidationError) -> str:
+    """Say in one clause where a document is not what its model asks for."""
+    first = error.errors()[0]
+    where = ".".join(str(part) for part in first["loc"]) or "the document"
+    return f"{where}: {first['msg']}"
 
 
 def read_text(path: Path, max_bytes: int = MAX_BYTES) -> str:

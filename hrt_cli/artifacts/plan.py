@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Literal
 
 from pydantic import Field, model_validator
 
-from hrt_cli.artifacts.jsonio import Document
+from hrt_cli.artifacts.carriers import json_provenance
+from hrt_cli.artifacts.jsonio import Document, parse_strict, read_model, read_text
 from hrt_cli.artifacts.provenance import Provenance
+from hrt_cli.errors import InputError
 
 Cell = tuple[int, int]
 Point = tuple[float, float]
@@ -54,7 +57,11 @@ class Grid(Document):
 
 
 class PlanDocument(Document):
-    """A plan. `score`, `discounted_score`, `upper_bound` and `gap` are defined in `docs/method.md`."""
+    """A plan. `score`, `discounted_score`, `upper_bound` and `gap` are defined in `docs/method.md`.
+
+    `end` is the cell where the walk had to end, None where it was free to choose. `collected` cells pay nothing and
+    `blocked` ones may not be entered, for what an earlier drive did there.
+    """
 
     format: Literal["hrt-plan"] = "hrt-plan"
     version: Literal[1] = 1
@@ -67,6 +74,9 @@ class PlanDocument(Document):
     budget: Budget
     grid: Grid
     start: Cell
+    end: Cell | None = None
+    collected: list[Cell] = Field(default_factory=list)
+    blocked: list[Cell] = Field(default_factory=list)
     steps: int = Field(ge=0)
     score: float = Field(ge=0)
     discounted_score: float = Field(ge=0)
@@ -91,6 +101,8 @@ class PlanDocument(Document):
             raise ValueError("lonlat and cells differ in length")
         if self.cells[0] != self.start:
             raise ValueError("the first cell is not the start")
+        if self.end is not None and self.cells[-1] != self.end:
+            raise ValueError("the last cell is not the end")
         reach = 1 if self.connectivity == 4 else 2
         for (r0, c0), (r1, c1) in zip(self.cells, self.cells[1:], strict=False):
             if max(abs(r1 - r0), abs(c1 - c0)) != 1 or abs(r1 - r0) + abs(c1 - c0) > reach:
@@ -98,3 +110,66 @@ class PlanDocument(Document):
         if any(not (0 <= r < self.grid.rows and 0 <= c < self.grid.cols) for r, c in self.cells):
             raise ValueError("a cell lies outside the grid")
         return self
+
+
+class TeamMember(Document):
+    """One robot of a team: its own plan's file, beside the team's, and what it adds to the team's score."""
+
+    plan: str
+    start: Cell
+    end: Cell | None
+    score: float = Field(ge=0)
+    steps: int = Field(ge=0)
+    length_m: float = Field(ge=0)
+    time_s: float = Field(ge=0)
+    waypoints: int = Field(ge=1)
+
+
+class TeamPlanDocument(Document):
+    """The plan of a team. Each cell pays once, to the robot that comes first; scores and bounds are of all together.
+
+    `time_s` is that of the robot that drives longest.
+    """
+
+    format: Literal["hrt-team-plan"] = "hrt-team-plan"
+    version: Literal[1] = 1
+    method: str
+    seed: int
+    objective: Literal["total", "discounted"]
+    gamma: float = Field(gt=0, le=1)
+    connectivity: Literal[4, 8]
+    score: float = Field(ge=0)
+    discounted_score: float = Field(ge=0)
+    upper_bound: float = Field(ge=0)
+    gap: float = Field(ge=0, le=1)
+    discounted_upper_bound: float | None = Field(default=None, ge=0)
+    discounted_gap: float | None = Field(default=None, ge=0, le=1)
+    steps: int = Field(ge=0)
+    length_m: float = Field(ge=0)
+    time_s: float = Field(ge=0)
+    robots: list[TeamMember] = Field(min_length=2)
+    provenance: Provenance | None = None
+
+
+def read_plan(path: Path) -> PlanDocument:
+    """Read the plan of one robot.
+
+    Raises
+    ------
+    InputError
+        The file is no plan, is damaged, was edited after it was made, or is the plan of a team.
+    """
+    team = team_members(path)
+    if team:
+        raise InputError(path, f"is the plan of a team: take the plans of its robots, {', '.join(map(str, team))}")
+    plan = read_model(path, PlanDocument)
+    json_provenance(path)
+    return plan
+
+
+def team_members(path: Path) -> list[Path]:
+    """Return the files of a team's plans, an empty list where `path` is not the plan of a team."""
+    found = parse_strict(path, read_text(path))
+    if not isinstance(found, dict) or found.get("format") != "hrt-team-plan":
+        return []
+    return [path.with_name(member.plan) for member in read_model(path, TeamPlanDocument).robots]

@@ -1,46 +1,115 @@
-"""What plans are worth on a scoremap, computed afresh from their cells, beside the baselines and the bound."""
+"""What plans are worth on a scoremap, computed afresh from their cells, beside other methods and the bound."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any, Literal
 
 import numpy as np
 from affine import Affine
+from numpy.typing import NDArray
 from rasterio.crs import CRS
 
-from hrt_cli.artifacts.carriers import json_provenance
-from hrt_cli.artifacts.jsonio import read_model
-from hrt_cli.artifacts.plan import PlanDocument
+from hrt_cli.artifacts.plan import PlanDocument, read_plan
 from hrt_cli.errors import InputError
-from hrt_cli.planning.planner import plan as make_plan
-from hrt_cli.planning.planner import score_bound
+from hrt_cli.evaluation.rewards import Curve, RewardChart, cumulative_reward, distance_travelled
+from hrt_cli.evaluation.starts import StartsComparison, compare_over_starts, draw_starts, task_bounds
+from hrt_cli.planning.planner import find_walk
+from hrt_cli.planning.policy import default_policy_sha256
 from hrt_cli.planning.problem import Budget, Problem
+from hrt_cli.progress import Progress, silent
 from hrt_cli.raster.grid import Grid, require_same_grid
 from hrt_cli.raster.scoremap import Scoremap, read_scoremap
 
+PLANNERS = ("refined", "policy")
 BASELINES = ("lawnmower", "rectangle", "greedy", "spiral", "random")
 
 
 @dataclass(frozen=True)
 class Worth:
-    """What one walk collects; `fraction_of_bound` is the share of the bound on `score`."""
+    """What one walk collects; the fractions are the shares of the bounds on `score` and `discounted_score`."""
 
     score: float
     discounted_score: float
     fraction_of_bound: float
+    fraction_of_discounted_bound: float
+
+
+@dataclass(frozen=True)
+class Trials:
+    """What plans are compared with.
+
+    Attributes
+    ----------
+    seed : int
+        Seed of every random choice, >= 0.
+    planner : bool
+        Whether the task is planned afresh, by `PLANNERS`, beside the baselines.
+    starts : int
+        Starts to draw, 0 for none; see `hrt_cli.evaluation.starts.draw_starts`.
+    seeds : int
+        Runs of each method from each of these starts, >= 1.
+    """
+
+    seed: int = 0
+    planner: bool = True
+    starts: int = 0
+    seeds: int = 1
+
+    @property
+    def methods(self) -> tuple[str, ...]:
+        """The methods that are run."""
+        return (PLANNERS if self.planner else ()) + BASELINES
+
+    def parameters(self) -> dict[str, Any]:
+        """Return all that changes the results besides the files, as JSON values."""
+        return {
+            "methods": list(self.methods),
+            "policy": default_policy_sha256() if self.planner else None,
+            "seed": self.seed,
+            "starts": self.starts,
+            "seeds": self.seeds,
+        }
 
 
 @dataclass(frozen=True)
 class PlanComparison:
-    """Plans and baselines of one start and budget on one scoremap, with the bound on any of them."""
+    """Plans of one start and budget on one scoremap, other walks of that task, and the bounds on any of them.
 
+    Attributes
+    ----------
+    objective : {'total', 'discounted'}
+        What the plans were made for.
+    plans, planner, baselines : dict of str to Worth
+        By file, and by method; `planner` is empty where the task was not planned afresh.
+    upper_bound, discounted_upper_bound : float
+        Proven bounds on `score` and `discounted_score` for that start, budget and gamma.
+    starts : StartsComparison or None
+        The methods over other starts, where asked for.
+    chart : RewardChart
+        Cumulative rewards: of the plans and the methods, or the means over the starts.
+    """
+
+    objective: Literal["total", "discounted"]
     plans: dict[str, Worth]
+    planner: dict[str, Worth]
     baselines: dict[str, Worth]
     upper_bound: float
+    discounted_upper_bound: float
+    starts: StartsComparison | None
+    chart: RewardChart
 
 
-def evaluate_plans(scoremap_path: Path, plan_paths: tuple[Path, ...], *, seed: int = 0) -> PlanComparison:
+def evaluate_plans(
+    scoremap_path: Path,
+    plan_paths: tuple[Path, ...],
+    trials: Trials = Trials(),
+    *,
+    workers: int = 1,
+    progress: Progress = silent,
+) -> PlanComparison:
     """Value plans on a scoremap, beside what a user would do instead.
 
     Raises
@@ -48,6 +117,8 @@ def evaluate_plans(scoremap_path: Path, plan_paths: tuple[Path, ...], *, seed: i
     InputError
         A file cannot be used; a plan lies on another grid or enters a no-go cell; the plans differ in start, budget,
         neighbours or objective, so that no one bound and baseline could serve them all.
+    ArgumentError
+        More starts are asked for than there are cells to start from.
     """
     scoremap = read_scoremap(scoremap_path)
     plans = {path: _read(path, scoremap_path, scoremap) for path in plan_paths}
@@ -55,34 +126,42 @@ def evaluate_plans(scoremap_path: Path, plan_paths: tuple[Path, ...], *, seed: i
     for path, other in plans.items():
         if _task(other) != _task(first):
             raise InputError(path, f"has another start, budget, objective or neighbours than {first_path}")
-    problem = Problem(
-        scoremap.score,
-        first.start,
-        Budget(first.budget.cells, 1.0 if first.budget.unit == "steps" else float(np.sqrt(2.0))),
-        connectivity=first.connectivity,
-        objective=first.objective,
-        gamma=first.gamma,
-        return_home=first.return_home,
+    problem = _problem(scoremap, first)
+    starts = (
+        draw_starts(problem.score, problem.start, problem.connectivity, trials.starts, trials.seed)
+        if trials.starts
+        else None
     )
-    made = {name: make_plan(problem, name, seed=seed) for name in BASELINES}
-    collected = {str(path): _collected(each, scoremap) for path, each in plans.items()}
-    # The bounds in the plans may be of another map, or of nobody: this map's is computed from this map.
-    best = max([score for score, _ in collected.values()] + [each.score for each in made.values()])
-    bound = score_bound(problem, best)
-
-    def worth(score: float, discounted: float) -> Worth:
-        return Worth(score, discounted, score / bound if bound > 0 else 1.0)
-
+    tick = _ticker(progress, len(trials.methods) + 1 + trials.starts * (trials.seeds + 1))
+    walks: dict[str, NDArray[np.integer]] = {}
+    for name in trials.methods:
+        walks[name] = find_walk(problem, name, seed=trials.seed)
+        tick()
+    given = {str(path): np.array(plan.cells) for path, plan in plans.items()}
+    worth, bounds = _valued(problem, [*given.values(), *walks.values()])
+    tick()
+    by_plan = dict(zip(given, worth, strict=False))
+    by_method = dict(zip(walks, worth[len(given) :], strict=True))
+    over = (
+        None
+        if starts is None
+        else compare_over_starts(
+            problem, trials.methods, starts, seed=trials.seed, seeds=trials.seeds, workers=workers, tick=tick
+        )
+    )
     return PlanComparison(
-        {name: worth(*found) for name, found in collected.items()},
-        {name: worth(each.score, each.discounted_score) for name, each in made.items()},
-        bound,
+        first.objective,
+        by_plan,
+        {name: each for name, each in by_method.items() if name in PLANNERS},
+        {name: each for name, each in by_method.items() if name in BASELINES},
+        *bounds,
+        over,
+        _mean_chart(problem, first, scoremap, over) if over else _chart(problem, first, scoremap, given, walks, bounds),
     )
 
 
 def _read(path: Path, scoremap_path: Path, scoremap: Scoremap) -> PlanDocument:
-    plan = read_model(path, PlanDocument)
-    json_provenance(path)
+    plan = read_plan(path)
     grid = Grid(
         plan.grid.rows,
         plan.grid.cols,
@@ -97,16 +176,110 @@ def _read(path: Path, scoremap_path: Path, scoremap: Scoremap) -> PlanDocument:
 
 
 def _task(plan: PlanDocument) -> tuple[object, ...]:
-    return plan.start, plan.budget, plan.connectivity, plan.objective, plan.gamma, plan.return_home
+    before = tuple(plan.collected), tuple(plan.blocked)
+    return plan.start, plan.end, plan.budget, plan.connectivity, plan.objective, plan.gamma, before
 
 
-def _collected(plan: PlanDocument, scoremap: Scoremap) -> tuple[float, float]:
-    """Return the score and the discounted score of a walk: each cell pays once, at its first visit."""
-    seen: set[tuple[int, int]] = set()
-    score = discounted = 0.0
-    for step, cell in enumerate(plan.cells):
-        if cell not in seen:
-            seen.add(cell)
-            score += float(scoremap.score[cell])
-            discounted += plan.gamma**step * float(scoremap.score[cell])
-    return score, discounted
+def _problem(scoremap: Scoremap, plan: PlanDocument) -> Problem:
+    score = scoremap.score.copy()
+    for cell in plan.collected:
+        if not np.isnan(score[cell]):
+            score[cell] = 0.0
+    for cell in plan.blocked:
+        score[cell] = np.nan
+    return Problem(
+        score,
+        plan.start,
+        Budget(plan.budget.cells, 1.0 if plan.budget.unit == "steps" else float(np.sqrt(2.0))),
+        connectivity=plan.connectivity,
+        objective=plan.objective,
+        gamma=plan.gamma,
+        end=plan.start if plan.return_home else plan.end,
+    )
+
+
+def _valued(problem: Problem, walks: list[NDArray[np.integer]]) -> tuple[list[Worth], tuple[float, float]]:
+    """Value walks of one problem; the bounds in the plans may be of another map, or of nobody, so they are not used."""
+    found = [
+        (
+            float(cumulative_reward(problem.score, cells)[-1]),
+            float(cumulative_reward(problem.score, cells, problem.gamma)[-1]),
+        )
+        for cells in walks
+    ]
+    bounds = task_bounds(problem, max(score for score, _ in found), max(discounted for _, discounted in found))
+    shares = [[value / bound if bound > 0 else 1.0 for value, bound in zip(f, bounds, strict=True)] for f in found]
+    return [Worth(*values, *share) for values, share in zip(found, shares, strict=True)], bounds
+
+
+def _ticker(progress: Progress, total: int) -> Callable[[], None]:
+    done = 0
+    progress(done, total)
+
+    def tick() -> None:
+        nonlocal done
+        done += 1
+        progress(done, total)
+
+    return tick
+
+
+def _chart(
+    problem: Problem,
+    plan: PlanDocument,
+    scoremap: Scoremap,
+    given: dict[str, NDArray[np.integer]],
+    walks: dict[str, NDArray[np.integer]],
+    bounds: tuple[float, float],
+) -> RewardChart:
+    unit, scale = _unit(plan, scoremap)
+    discounted = problem.objective == "discounted"
+    gamma = problem.gamma if discounted else 1.0
+
+    def curve(name: str, role: Literal["plan", "planner", "baseline"], cells: NDArray[np.integer]) -> Curve:
+        travelled = distance_travelled(cells, problem.budget.diagonal_cost) * scale
+        return Curve(name, role, travelled, cumulative_reward(problem.score, cells, gamma))
+
+    row, col = problem.start
+    return RewardChart(
+        f"cumulative reward, {_budget(plan)} from cell {row},{col}{_home(plan)}",
+        unit,
+        problem.limit * scale,
+        discounted,
+        bounds[1 if discounted else 0],
+        [curve(name, "plan", cells) for name, cells in given.items()]
+        + [curve(name, _role(name), cells) for name, cells in walks.items()],
+    )
+
+
+def _mean_chart(problem: Problem, plan: PlanDocument, scoremap: Scoremap, found: StartsComparison) -> RewardChart:
+    unit, scale = _unit(plan, scoremap)
+    runs = f"{found.count} starts" + (f" and {found.seeds} seeds" if found.seeds > 1 else "")
+    return RewardChart(
+        f"cumulative reward, {_budget(plan)}{_home(plan)}: mean over {runs}; bands: 5 to 95 % of the starts",
+        unit,
+        problem.limit * scale,
+        problem.objective == "discounted",
+        found.bound,
+        [
+            Curve(name, _role(name), found.travelled * scale, each.mean, each.low, each.high)
+            for name, each in found.curves.items()
+        ],
+    )
+
+
+def _unit(plan: PlanDocument, scoremap: Scoremap) -> tuple[Literal["steps", "m"], float]:
+    """Return the unit that travel is shown in, and how many of it one cell is."""
+    return ("steps", 1.0) if plan.budget.unit == "steps" else ("m", scoremap.cell_size_m)
+
+
+def _role(method: str) -> Literal["planner", "baseline"]:
+    return "planner" if method in PLANNERS else "baseline"
+
+
+def _budget(plan: PlanDocument) -> str:
+    return f"{plan.budget.value:g} {plan.budget.unit}"
+
+
+def _home(plan: PlanDocument) -> str:
+    return " and back" if plan.return_home else ""

@@ -5,9 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from hrt_cli.artifacts.carriers import json_provenance
-from hrt_cli.artifacts.jsonio import read_model
-from hrt_cli.artifacts.plan import PlanDocument
+from hrt_cli.artifacts.plan import read_plan
 from hrt_cli.artifacts.publish import check_target, publishing
 from hrt_cli.artifacts.stage import REFUSE, Existing, freshen
 from hrt_cli.errors import ArgumentError, InputError, OutputError
@@ -23,19 +21,6 @@ class Export:
     format: str
     waypoints: int
     length_m: float
-
-
-def read_plan(path: Path) -> PlanDocument:
-    """Read a plan.
-
-    Raises
-    ------
-    InputError
-        The file is no plan, is damaged, or was edited after it was made.
-    """
-    plan = read_model(path, PlanDocument)
-    json_provenance(path)
-    return plan
 
 
 def export_file(

@@ -1,17 +1,21 @@
-"""Proven upper bounds on what any walk can collect.
+"""Proven upper bounds on what walks can collect, within the budget and within every number of first moves.
 
-Two relaxations, of which the smaller is taken: each cell collected in its own time slot, not before it can be
-reached; and the Lagrangian relaxation of "a cell pays once", a longest walk through time and space.
+Three relaxations, of which the smallest is taken: each cell collected in its own time slot, not before it can be
+reached; the Lagrangian relaxation of "a cell pays once", a longest walk through time and space; and the Lagrangian
+relaxation of the budget, a prize-collecting path over rich regions (`regions`).
 """
 
 from __future__ import annotations
 
 import heapq
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hrt_cli.planning.jit import kernel
+from hrt_cli.planning.regions import Cut
 from hrt_cli.planning.walk import Field, capacity
 
 ROUNDING = 1e-9
@@ -35,19 +39,24 @@ def bipartite(field: Field) -> bool:
 
 
 @kernel
-def _best_in_slots(value: NDArray[np.float64], release: NDArray[np.float64], first: int, last: int, stride: int,
-                   gamma: float) -> float:  # fmt: skip
-    """Give each slot first, first + stride, ... <= last the best released cell; cells sorted by release."""
+def _fill_slots(
+    value: NDArray[np.float64], release: NDArray[np.float64], slots: NDArray[np.int64], first: int, stride: int,
+    taken: NDArray[np.float64],
+) -> None:  # fmt: skip
+    """Add to `taken[t]` the best released cells of `slots[t]` slots, t = first, first + stride, ...
+
+    Cells are sorted by release, the rich first among equals.
+    """
     heap = [0.0]
     heap.pop()
-    total, i = 0.0, 0
-    for t in range(first, last + 1, stride):
+    i = 0
+    for t in range(first, slots.size, stride):
         while i < value.size and release[i] <= t:
             heapq.heappush(heap, -value[i])
             i += 1
-        if len(heap) > 0:
-            total -= heapq.heappop(heap) * gamma**t
-    return total
+        for _ in range(slots[t]):
+            if len(heap) > 0:
+                taken[t] -= heapq.heappop(heap)
 
 
 @kernel
@@ -65,23 +74,43 @@ def _best_in_windows(value: NDArray[np.float64], release: NDArray[np.float64], l
     return total
 
 
-def scheduling_bound(field: Field, gamma: float = 1.0) -> float:
-    """Return the best assignment of cells to time slots, each cell not before it can be reached.
+def scheduling_profile(fields: Sequence[Field], joint: Field) -> NDArray[np.float64]:
+    """Return what the first 0..T moves collect at most when each cell only needs a time slot of its own.
 
-    A relaxation of the walk: at most one new cell per move, cell c no earlier than its distance from the start,
-    on the parity of that distance where the reachable grid is bipartite, and early enough to get home when the
-    robot must return (that deadline is dropped when gamma < 1). Greedy assignment is optimal: for release times
-    alone and falling slot weights by exchange, for the nested windows of a return as a transversal matroid.
+    A relaxation of the walk: at most one new cell per move and robot, cell c no earlier than the nearest robot can
+    reach it, on the parity of that distance where one robot moves on a bipartite grid. Taking the best released
+    cell in each slot is optimal for every horizon at once, by exchange.
 
-    Parameters
-    ----------
-    field : Field
-        The reachable window.
-    gamma : float
-        Discount per move; 1 bounds the plain score.
+    Returns
+    -------
+    ndarray, float64 [T + 1]
     """
+    moves = max(capacity(field) for field in fields) - 1
+    slots = sum((np.arange(moves + 1) < capacity(field)).astype(np.int64) for field in fields)
+    release = np.min([_release(field) for field in fields], axis=0)
+    usable = joint.free & (joint.value > 0)
+    taken = np.zeros(moves + 1)
+    stride = 2 if len(fields) == 1 and bipartite(joint) else 1
+    for first in range(stride):
+        mine = usable.copy()
+        if stride == 2:
+            mine[usable] = release[usable] % 2 == first
+        order = np.lexsort((-joint.value[mine], release[mine]))
+        _fill_slots(joint.value[mine][order], release[mine][order], slots, first, stride, taken)
+    return np.asarray(taken.cumsum())
+
+
+def _closed_bound(field: Field) -> float:
+    """Return the scheduling bound of one robot with a given end, the time to get there counted.
+
+    Where the walk is closed the windows are nested and the greedy choice is optimal (a transversal matroid); else
+    the slots are counted back from the end, as they are from the start.
+    """
+    if field.end != field.start:
+        turned = field._replace(start=field.end, end=field.start, reach=field.home, home=field.reach)
+        return float(scheduling_profile([turned], turned)[-1])
     moves = capacity(field) - 1
-    release = np.ceil(field.reach.min(axis=0) - ROUNDING) if field.exact else _fewest_moves(field)
+    release = _release(field)
     usable = field.free & (field.value > 0)
     total = 0.0
     stride = 2 if bipartite(field) else 1
@@ -89,20 +118,33 @@ def scheduling_bound(field: Field, gamma: float = 1.0) -> float:
         mine = usable.copy()
         if stride == 2:
             mine[usable] = release[usable] % 2 == first
-        value, when = field.value[mine], release[mine]
-        last = moves - (moves - first) % stride
-        if field.returns and gamma == 1.0:
-            order = np.lexsort((value, -when))
-            total += _best_in_windows(value[order], when[order], moves, stride)
-        else:
-            order = np.lexsort((-value, when))
-            total += _best_in_slots(value[order], when[order], first, last, stride, gamma)
-    return float(total) * (1.0 + ROUNDING)
+        order = np.lexsort((field.value[mine], -release[mine]))
+        total += _best_in_windows(field.value[mine][order], release[mine][order], moves, stride)
+    return total
 
 
-def _fewest_moves(field: Field) -> NDArray[np.float64]:
-    """Bound from below the moves to each cell where moves differ in cost: none costs more than the dearest."""
-    return np.asarray(np.ceil(field.reach.min(axis=0) / field.costs.max() - ROUNDING))
+def scheduling_bound(field: Field, gamma: float = 1.0) -> float:
+    """Return the scheduling bound on the score of one robot's walks, discounted by `gamma` per move."""
+    bound = discounted_sum(scheduling_profile([field], field), gamma)
+    if field.end >= 0 and gamma == 1.0:
+        bound = min(bound, _closed_bound(field))
+    return bound * (1.0 + ROUNDING)
+
+
+def discounted_sum(profile: NDArray[np.float64], gamma: float) -> float:
+    """Return the bound on the discounted score that bounds on the first 0..T moves give.
+
+    sum_t gamma^t x_t = sum_n (gamma^n - gamma^(n+1)) X_n + gamma^T X_T with X_n what the first n moves collect.
+    """
+    weight = gamma ** np.arange(profile.size)
+    weight[:-1] -= weight[1:]
+    return float(weight @ profile)
+
+
+def _release(field: Field) -> NDArray[np.float64]:
+    """Return the fewest moves to each cell; bounded from below where moves differ in cost."""
+    dearest = 1.0 if field.exact else field.costs.max()
+    return np.asarray(np.ceil(field.reach.min(axis=0) / dearest - ROUNDING))
 
 
 @kernel
@@ -114,9 +156,8 @@ def _fill_layers(
     value: NDArray[np.float64],
     price: NDArray[np.float64],
     free: NDArray[np.bool_],
-    gamma: float,
 ) -> None:
-    """Fill `layers` [moves + 1, n]: the best sum of max(gamma^t value - price, 0) of a walk that ends at a cell."""
+    """Fill `layers` [moves + 1, n]: the best sum of max(value - price, 0) of a walk that ends at a cell."""
     moves, n = layers.shape[0] - 1, layers.shape[1]
     layers[0, :] = NOWHERE
     layers[0, start] = max(value[start] - price[start], 0.0)
@@ -124,14 +165,8 @@ def _fill_layers(
     for c in range(n):
         if free[c]:
             reward[c] = max(value[c] - price[c], 0.0)
-    discount = 1.0
     lo, hi = width + 1, n - width - 1
     for t in range(1, moves + 1):
-        if gamma != 1.0:
-            discount *= gamma
-            for c in range(n):
-                if free[c]:
-                    reward[c] = max(discount * value[c] - price[c], 0.0)
         before, now = layers[t - 1], layers[t]
         now[:lo] = NOWHERE
         now[hi:] = NOWHERE
@@ -157,14 +192,13 @@ def _trace(
     last: int,
     value: NDArray[np.float64],
     price: NDArray[np.float64],
-    gamma: float,
     visits: NDArray[np.float64],
 ) -> None:
     """Count in `visits` how often the best walk that ends at `last` collects from each cell."""
     visits[:] = 0.0
     cell = last
     for t in range(layers.shape[0] - 1, -1, -1):
-        if gamma**t * value[cell] > price[cell]:
+        if value[cell] > price[cell]:
             visits[cell] += 1.0
         if t > 0:
             best = cell - offsets[0]
@@ -176,41 +210,43 @@ def _trace(
 
 def _best_end(field: Field, layers: NDArray[np.float64]) -> tuple[int, int]:
     """Return the layer and the cell where the best walk ends."""
-    end = layers.shape[0] - 1
-    if not field.returns:
-        return end, int(np.argmax(layers[end]))
-    if not field.exact and layers[end - 1, field.start] > layers[end, field.start]:
-        end -= 1
-    return end, field.start
+    if field.exact:
+        end = layers.shape[0] - 1
+        return end, field.end if field.end >= 0 else int(np.argmax(layers[end]))
+    # A walk of dearer moves has fewer of them: it ends in whichever layer is best.
+    ends = layers[:, field.end] if field.end >= 0 else layers.max(axis=1)
+    end = int(np.argmax(ends))
+    return end, field.end if field.end >= 0 else int(np.argmax(layers[end]))
 
 
-def lagrangian_bound(field: Field, known: float, gamma: float = 1.0, iterations: int = 100) -> float:
-    """Return the smallest Lagrangian bound met in `iterations` subgradient steps.
+def lagrangian_bound(field: Field, known: float, iterations: int = 100) -> tuple[float, NDArray[np.float64]]:
+    """Return the smallest Lagrangian bound met in `iterations` subgradient steps, and one for every horizon.
 
-    For prices u >= 0, no walk collects more than sum(u) + max over walks of sum_t max(gamma^t q - u, 0) along the
-    walk: "a cell pays once" is relaxed and u is what a repeated visit forgoes. The steps follow the volume
-    algorithm (Barahona and Anbil 2000): Polyak's length from the best prices so far, along the running mean of
-    visits, from u = max(q - tau, 0) with tau the least of the best T + 1 cells.
+    For prices u >= 0, no walk collects more than sum(u) + max over walks of sum_t max(q - u, 0) along the walk:
+    "a cell pays once" is relaxed and u is what a repeated visit forgoes. The steps follow the volume algorithm
+    (Barahona and Anbil 2000): Polyak's length from the best prices so far, along the running mean of visits, from
+    u = max(q - tau, 0) with tau the least of the best T + 1 cells.
 
     Parameters
     ----------
     field : Field
         The reachable window.
     known : float
-        Value of a walk that exists, the target of the steps; it does not affect validity.
-    gamma : float
-        Discount per move; 1 bounds the plain score.
+        Score of a walk that exists, the target of the steps; it does not affect validity.
     iterations : int
         Subgradient steps.
 
     Returns
     -------
-    float
+    bound : float
         The bound; inf where the relaxation would not fit memory (see `MAX_LAYER_CELLS`).
+    profile : ndarray, float64 [T + 1]
+        Bounds on what the first 0..T moves collect.
     """
     cells = capacity(field)
+    profile = np.full(cells, np.inf)
     if iterations < 1 or field.free.size * cells > MAX_LAYER_CELLS:
-        return float("inf")
+        return float("inf"), profile
     layers = np.empty((cells, field.free.size))
     ranked = np.sort(field.value[field.free])[::-1]
     price = centre = np.maximum(field.value - ranked[min(cells, ranked.size) - 1], 0.0)
@@ -218,10 +254,11 @@ def lagrangian_bound(field: Field, known: float, gamma: float = 1.0, iterations:
     mean = np.zeros(0)
     best, step, stale = float("inf"), FIRST_STEP, 0
     for _ in range(iterations):
-        _fill_layers(layers, field.offsets, field.width, field.start, field.value, price, field.free, gamma)
+        _fill_layers(layers, field.offsets, field.width, field.start, field.value, price, field.free)
         end, last = _best_end(field, layers)
         bound = float(price.sum() + layers[end, last])
-        _trace(layers[: end + 1], field.offsets, last, field.value, price, gamma, visits)
+        profile = np.minimum(profile, price.sum() + np.maximum.accumulate(layers.max(axis=1)))
+        _trace(layers[: end + 1], field.offsets, last, field.value, price, visits)
         mean = MEMORY * mean + (1.0 - MEMORY) * visits if mean.size else visits.copy()
         if bound < best:
             best, centre, stale, step = bound, price, 0, step * STEP_GROWTH
@@ -233,12 +270,67 @@ def lagrangian_bound(field: Field, known: float, gamma: float = 1.0, iterations:
         if steepness == 0.0 or best <= known:
             break
         price = np.clip(centre - step * (best - known) / steepness * slope, 0.0, field.value)
-    return best * (1.0 + ROUNDING)
+    return best * (1.0 + ROUNDING), profile * (1.0 + ROUNDING)
 
 
-def upper_bound(field: Field, known: float, gamma: float = 1.0, iterations: int = 100) -> float:
-    """Return the smaller of the two bounds, never below `known`, the value of a walk that exists."""
-    bound = scheduling_bound(field, gamma)
-    if bound > known:
-        bound = min(bound, lagrangian_bound(field, known, gamma, iterations))
-    return max(bound, known)
+@dataclass(frozen=True)
+class Bounds:
+    """What no walk, or no team's walks together, can collect more of.
+
+    Attributes
+    ----------
+    score : float
+        Bound on the score.
+    discounted : float or None
+        Bound on the discounted score, where it was asked for.
+    """
+
+    score: float
+    discounted: float | None
+
+
+def prove_bounds(
+    fields: Sequence[Field],
+    joint: Field,
+    cuts: Sequence[Cut],
+    known: float,
+    gamma: float | None = None,
+    known_discounted: float = 0.0,
+    iterations: int = 50,
+) -> Bounds:
+    """Return the smallest of the bounds, never below what walks that exist collect.
+
+    Parameters
+    ----------
+    fields : sequence of Field
+        One per robot, on the same window.
+    joint : Field
+        The window with every cell that some robot can enter.
+    cuts : sequence of Cut
+        The regions of the window, see `regions.cut_regions`.
+    known, known_discounted : float
+        Score and discounted score of walks that exist.
+    gamma : float, optional
+        Discount per move; without it the discounted score is not bounded.
+    iterations : int
+        Subgradient steps of the Lagrangian relaxation of "a cell pays once".
+    """
+    slots = scheduling_profile(fields, joint)
+    score = min([float(slots[-1]), *(cut.bound() for cut in cuts)]) * (1.0 + ROUNDING)
+    single = len(fields) == 1
+    if single and joint.end >= 0:
+        score = min(score, scheduling_bound(joint))
+    walks: list[NDArray[np.float64]] = []
+    if single and (score > known or gamma is not None):
+        bound, profile = lagrangian_bound(joint, known, iterations)
+        score = min(score, bound)
+        walks.append(profile)
+    if gamma is None:
+        return Bounds(max(score, known), None)
+    profiles = [slots, *walks, *(cut.profile(slots.size - 1) for cut in cuts)]
+    least = np.min(profiles, axis=0)
+    least[-1] = min(float(least[-1]), score)
+    # What fewer moves collect, more moves do too: the other way round a bound on more bounds fewer.
+    least = np.minimum.accumulate(least[::-1])[::-1]
+    discounted = discounted_sum(least, gamma) * (1.0 + ROUNDING)
+    return Bounds(max(score, known), max(discounted, known_discounted))

@@ -31,7 +31,7 @@ REVERSAL_SHARE = 0.08
 """Share of reversals among all changes."""
 
 FLIP_SHARE, BUMP_SHARE, PATCH_SHARE = 0.30, 0.30, 0.22
-"""Shares of the other changes; what is left regrows the tail (a patch where the robot must return)."""
+"""Shares of the other changes; what is left regrows the tail (a patch where the end is given)."""
 
 
 @lean_kernel
@@ -211,7 +211,7 @@ def _propose(
     if kind < FLIP_SHARE + BUMP_SHARE:
         done, gain = _propose_bump(field, path, n, count, edit, patch, state)
         return done, gain
-    if kind < FLIP_SHARE + BUMP_SHARE + PATCH_SHARE or field.returns:
+    if kind < FLIP_SHARE + BUMP_SHARE + PATCH_SHARE or field.end >= 0:
         done, gain = _propose_patch(field, path, n, count, edit, patch, state)
         return done, gain
     cut = 1 + next_below(state, min(LONGEST_PATCH, n - 1))
@@ -264,7 +264,7 @@ def _compensate(
 ) -> tuple[bool, float]:
     """Add a second splice, `edit[1]` and `patch`, that takes `need` cells out (puts -need in when negative)."""
     at, end = edit[0, 0], edit[0, 0] + edit[0, 1]
-    at_tail = not field.returns and (next_uniform(state) < 0.5 or abs(need) > 2)
+    at_tail = field.end < 0 and (next_uniform(state) < 0.5 or abs(need) > 2)
     if at_tail and need > 0:
         if n - need <= end:
             return False, 0.0
@@ -357,7 +357,7 @@ def reverse(
     if j <= i + 1 or j >= n or path[j] != cell:
         return 0, 0
     if j == n - 1:
-        if field.returns:
+        if field.end >= 0:
             return 0, 0
     elif step_cost(field, path[j + 1] - path[i + 1]) == np.inf:
         return 0, 0
@@ -369,6 +369,7 @@ def reverse(
 @lean_kernel
 def change(
     field: Field,
+    limit: float,
     path: NDArray[np.int64],
     n: int,
     cost: float,
@@ -377,7 +378,7 @@ def change(
     patches: NDArray[np.int64],
     state: NDArray[np.uint64],
 ) -> tuple[bool, float, float]:
-    """Propose a whole change that keeps the budget; return whether there is one, its gain, and the new cost."""
+    """Propose a whole change that keeps the budget `limit`; return whether there is one, its gain, and the new cost."""
     done, gain = _propose(field, path, n, count, edit, patches[0], state)
     if not done:
         return False, 0.0, cost
@@ -385,7 +386,7 @@ def change(
         need = edit[0, 2] - edit[0, 1]
     else:
         cost += splice_cost(field, path, n, edit[0, 0], edit[0, 1], patches[0], edit[0, 2])
-        over = cost - field.limit
+        over = cost - limit
         need = int(np.ceil(over - BUDGET_TOLERANCE)) if over > 0 else -int(-over + BUDGET_TOLERANCE)
     if need != 0:
         done, more = _compensate(field, path, n, need, count, edit, patches[1], state)
@@ -397,4 +398,4 @@ def change(
             for i in range(edit[1, 2]):
                 gain -= _leave(count, field.value, patches[1, i])
             edit[1, 0], edit[1, 1], edit[1, 2] = -1, 0, 0
-    return done and cost <= field.limit + BUDGET_TOLERANCE, gain, cost
+    return done and cost <= limit + BUDGET_TOLERANCE, gain, cost

@@ -72,14 +72,14 @@ class Problem:
         Sum of the scores of the distinct cells visited, or sum of gamma^t times the score at first visits.
     gamma : float
         Discount per move, in (0, 1]; it is also used to report the discounted score of a 'total' plan.
-    return_home : bool
-        Whether the walk must end where it starts.
+    end : (int, int), optional
+        Row and column of the cell where the walk must end; the start for a walk that returns home.
 
     Raises
     ------
     ArgumentError
-        When the start is off the map, on a no-go cell or walled in, when a score is negative or infinite, or
-        when a parameter is out of its range.
+        When the start or the end is off the map or on a no-go cell, when the start is walled in, when a score is
+        negative or infinite, or when a parameter is out of its range.
     """
 
     score: NDArray[np.floating]
@@ -88,7 +88,7 @@ class Problem:
     connectivity: int = 4
     objective: str = "total"
     gamma: float = DEFAULT_GAMMA
-    return_home: bool = False
+    end: tuple[int, int] | None = None
 
     def __post_init__(self) -> None:
         self._check_parameters()
@@ -119,7 +119,7 @@ class Problem:
             raise ArgumentError(f"the objective must be 'total' or 'discounted', not {self.objective!r}")
         if not (0.0 < self.gamma <= 1.0):
             raise ArgumentError(f"gamma must be above 0 and at most 1, not {self.gamma}")
-        if self.return_home and self.limit < 2.0:
+        if self.end == self.start and self.limit < 2.0:
             raise ArgumentError("a budget of one move cannot leave the start and return to it")
 
     def _check_scores(self) -> None:
@@ -133,14 +133,19 @@ class Problem:
                 raise ArgumentError(f"cell {row},{col} has the {what} score {self.score[row, col]}")
 
     def _check_start(self) -> None:
-        rows, cols = self.score.shape
+        for name, cell in (("start", self.start), ("end", self.end)):
+            if cell is not None:
+                self._check_cell(name, *cell)
         row, col = self.start
-        if not (0 <= row < rows and 0 <= col < cols):
-            raise ArgumentError(f"start cell {row},{col} is outside the map of {rows} x {cols} cells")
-        if np.isnan(self.score[row, col]):
-            raise ArgumentError(f"start cell {row},{col} is a no-go cell (its score is nan)")
         if not any(self._can_enter(row + dr, col + dc) for dr, dc in self.neighbours):
             raise ArgumentError(f"start cell {row},{col} is walled in: no neighbour can be entered")
+
+    def _check_cell(self, name: str, row: int, col: int) -> None:
+        rows, cols = self.score.shape
+        if not (0 <= row < rows and 0 <= col < cols):
+            raise ArgumentError(f"{name} cell {row},{col} is outside the map of {rows} x {cols} cells")
+        if np.isnan(self.score[row, col]):
+            raise ArgumentError(f"{name} cell {row},{col} is a no-go cell (its score is nan)")
 
     def _can_enter(self, row: int, col: int) -> bool:
         rows, cols = self.score.shape
@@ -183,3 +188,23 @@ class Plan:
     method: str
     seconds: float
     evaluations: int
+
+
+@dataclass(frozen=True)
+class TeamPlan:
+    """The walks of several robots and what they are worth together.
+
+    Attributes
+    ----------
+    together : Plan
+        Scores, bounds and cost of all walks together, each cell paying once, at its earliest visit by any robot;
+        its `cells` are those of the first robot.
+    cells : list of ndarray, int32 [T_r + 1, 2]
+        Row and column of every cell of each robot's walk.
+    shares : list of float
+        What each robot adds to the score: the cells that it is the first to visit (of two at once, the first robot).
+    """
+
+    together: Plan
+    cells: list[NDArray[np.int32]]
+    shares: list[float]

@@ -1,4 +1,4 @@
-"""Simulated annealing on a walk, with the changes of `moves`."""
+"""Simulated annealing on the walks of one robot or of several, with the changes of `moves`."""
 
 from __future__ import annotations
 
@@ -17,7 +17,15 @@ from hrt_cli.planning.moves import (
     undo,
 )
 from hrt_cli.planning.problem import BUDGET_TOLERANCE
-from hrt_cli.planning.walk import Field, capacity, count_turns, next_uniform, walk_cost, walk_value
+from hrt_cli.planning.walk import (
+    Field,
+    count_turns,
+    next_below,
+    next_uniform,
+    step_cost,
+    team_value,
+    walk_cost,
+)
 
 HOTTEST = 0.20
 COLDEST = 0.004
@@ -36,6 +44,7 @@ def _accepts(gain: float, heat: float, state: NDArray[np.uint64]) -> bool:
 @lean_kernel
 def _tentative(
     field: Field,
+    limit: float,
     path: NDArray[np.int64],
     n: int,
     cost: float,
@@ -57,12 +66,12 @@ def _tentative(
         low, high = reverse(field, path, n, where, trial, state)
         if high > 0 and not field.exact:
             cost = walk_cost(field, trial, n)
-            if cost > field.limit + BUDGET_TOLERANCE:
+            if cost > limit + BUDGET_TOLERANCE:
                 for t in range(low, high):
                     trial[t] = path[t]
                 high = 0
         return low, high, n, 0.0, cost
-    done, gain, cost = change(field, path, n, cost, count, edit, patches, state)
+    done, gain, cost = change(field, limit, path, n, cost, count, edit, patches, state)
     if not done or (heat >= 0.0 and not _accepts(gain, heat, state)):
         undo(path, count, edit, patches)
         return 0, 0, n, 0.0, cost
@@ -70,25 +79,105 @@ def _tentative(
     return low, high, m, gain, cost
 
 
+@lean_kernel
+def _turns_in(path: NDArray[np.int64], low: int, high: int) -> int:
+    """Return how often the walk changes direction at a cell of [low, high), both neighbours being in the walk."""
+    turns = 0
+    for t in range(low, high):
+        if path[t + 1] - path[t] != path[t] - path[t - 1]:
+            turns += 1
+    return turns
+
+
+@lean_kernel
+def _turns_gained(path: NDArray[np.int64], n: int, trial: NDArray[np.int64], m: int, low: int, high: int) -> int:
+    """Return by how many turns `trial` has more than `path`, from which it differs in [low, high)."""
+    first = max(low - 1, 1)
+    if m != n:
+        return int(_turns_in(trial, first, m - 1) - _turns_in(path, first, n - 1))
+    last = min(high + 1, n - 1)
+    return int(_turns_in(trial, first, last) - _turns_in(path, first, last))
+
+
+@lean_kernel
+def _discounted_gain(
+    value: NDArray[np.float64],
+    discount: NDArray[np.float64],
+    path: NDArray[np.int64],
+    n: int,
+    trial: NDArray[np.int64],
+    m: int,
+    low: int,
+    high: int,
+    count: NDArray[np.int64],
+    met: NDArray[np.int64],
+    stamp: NDArray[np.int64],
+    mark: int,
+) -> float:
+    """Return what `trial`, which differs from `path` in [low, high), gains in discounted score.
+
+    `met` is the first visit of each cell in `path` (at least `n` where there is none), `count` the visits in
+    `trial`. Where every cell that changes is visited once, before and after, the rest of the walk pays as before.
+    Uses up the marks `mark` and `mark` + 1 of `stamp`.
+    """
+    local = m == n
+    if local:
+        for t in range(low, high):
+            if count[trial[t]] != 1 or met[path[t]] != t:
+                local = False
+                break
+            stamp[trial[t]] = mark
+    if local:
+        gain = 0.0
+        for t in range(low, high):
+            # Left for good, or visited within the range alone.
+            if count[path[t]] > 1 or (count[path[t]] == 1 and stamp[path[t]] != mark):
+                local = False
+                break
+            gain += discount[t] * (value[trial[t]] - value[path[t]])
+        if local:
+            return gain
+    mark += 1
+    gain = 0.0
+    for t in range(low, m):
+        cell = trial[t]
+        if met[cell] >= low and stamp[cell] != mark:
+            stamp[cell] = mark
+            gain += discount[t] * value[cell]
+    for t in range(low, n):
+        if met[path[t]] == t:
+            gain -= discount[t] * value[path[t]]
+    return gain
+
+
 @kernel
 def anneal(
     field: Field,
-    walk: NDArray[np.int64],
+    limits: NDArray[np.float64],
+    walks: NDArray[np.int64],
+    sizes: NDArray[np.int64],
     gamma: float,
     proposals: int,
     hot: float,
     cold: float,
     tidy: bool,
     seed: int,
-) -> NDArray[np.int64]:
-    """Anneal a walk and return the best one met.
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Anneal the walks of all robots together and return the best ones met.
+
+    A cell pays once, whichever robot comes; every change is made to one walk, drawn at random, and judged by what
+    all of them collect.
 
     Parameters
     ----------
     field : Field
-        The reachable window.
-    walk : ndarray, int64 [n]
-        A walk that keeps the budget.
+        The window, its free cells those that some robot can enter.
+    limits : ndarray, float64 [robots]
+        Budget of each robot, in cell units.
+    walks : ndarray, int64 [robots, cells]
+        Walks that keep the budgets; the columns hold the longest walk that the budgets allow.
+    sizes : ndarray, int64 [robots]
+        Number of cells of each walk.
     gamma : float
         Discount per move; 1 collects the plain score.
     proposals : int
@@ -100,47 +189,139 @@ def anneal(
         Accept no loss at all, and among equals only walks with no more turns: straightens without cost.
     seed : int
         Random seed.
+
+    Returns
+    -------
+    walks : ndarray, int64 [robots, cells]
+    sizes : ndarray, int64 [robots]
     """
     state = np.full(1, np.uint64(seed), np.uint64)
-    n = walk.size
-    path = np.zeros(capacity(field) + 1, np.int64)
-    path[:n] = walk
-    trial, best = path.copy(), path.copy()
+    robots, room = walks.shape[0], walks.shape[1] + 1
+    paths = np.zeros((robots, room), np.int64)
+    paths[:, : room - 1] = walks
+    trials, best = paths.copy(), paths.copy()
+    lengths, best_lengths = sizes.copy(), sizes.copy()
     count = np.zeros(field.free.size, np.int64)
-    where = np.full(field.free.size, -1)
-    seen = np.zeros(field.free.size, np.bool_)
-    for t in range(n):
-        count[path[t]] += 1
-        where[path[t]] = t
+    wheres = np.full((robots, field.free.size), -1)
+    costs = np.zeros(robots)
+    turns = 0
+    for r in range(robots):
+        for t in range(sizes[r]):
+            count[paths[r, t]] += 1
+            wheres[r, paths[r, t]] = t
+        costs[r] = walk_cost(field, paths[r], sizes[r])
+        turns += count_turns(paths[r], sizes[r])
     edit = np.zeros((2, 3), np.int64)
     patches = np.zeros((2, LONGEST_PATCH + SPARE), np.int64)
-    value, cost = walk_value(field.value, path, n, gamma, seen), walk_cost(field, path, n)
-    turns = count_turns(path, n)
-    best_n, best_value, best_turns = n, value, turns
+    seen = np.zeros(field.free.size, np.bool_)
+    value = team_value(field.value, paths, lengths, gamma, seen)
+    best_value, best_turns = value, turns
     cooling = (cold / hot) ** (1.0 / max(proposals, 1)) if hot > 0.0 else 1.0
     heat = hot
-    greedy = tidy or gamma != 1.0
+    early = gamma != 1.0
+    discount = np.ones(room)
+    for t in range(1, room):
+        discount[t] = discount[t - 1] * gamma
+    lone = early and robots == 1
+    far = 1 << 60
+    met = np.full(field.free.size if lone else 0, far)
+    stamp = np.zeros(met.size, np.int64)
+    mark = 0
+    if lone:
+        for t in range(lengths[0] - 1, -1, -1):
+            met[paths[0, t]] = t
+    r = 0
+    path, trial, where = paths[0], trials[0], wheres[0]
     for _ in range(proposals):
         heat *= cooling
+        if robots > 1:
+            r = next_below(state, robots)
+            path, trial, where = paths[r], trials[r], wheres[r]
+        n = lengths[r]
         low, high, m, gain, new_cost = _tentative(
-            field, path, n, cost, -1.0 if greedy else heat, count, where, edit, patches, trial, state
-        )
+            field, limits[r], path, n, costs[r], -1.0 if early or tidy else heat, count, where, edit, patches,
+            trial, state,
+        )  # fmt: skip
         if high == 0:
             continue
-        if greedy:
-            gain = walk_value(field.value, trial, m, gamma, seen) - value
-            new_turns = count_turns(trial, m) if tidy else 0
-            straighter = not tidy or new_turns <= turns or gain > TIE * value
-            if not (straighter and _accepts(gain, 0.0 if tidy else heat, state)):
+        if lone:
+            mark += 2
+            gain = _discounted_gain(field.value, discount, path, n, trial, m, low, high, count, met, stamp, mark)
+        elif early:
+            lengths[r] = m
+            gain = team_value(field.value, trials, lengths, gamma, seen) - value
+            lengths[r] = n
+        more_turns = 0
+        if tidy or early:
+            fits = gain >= -TIE * value if tidy else _accepts(gain, heat, state)
+            if fits and tidy:
+                more_turns = _turns_gained(path, n, trial, m, low, high)
+                fits = more_turns <= 0 or gain > TIE * value
+            if not fits:
                 undo(path, count, edit, patches)
-                trial[low : max(high, n)] = path[low : max(high, n)]
+                for t in range(low, max(high, n)):
+                    trial[t] = path[t]
                 continue
-            turns = new_turns
+        if lone:
+            for t in range(low, n):
+                if met[path[t]] >= low:
+                    met[path[t]] = far
+            for t in range(m - 1, low - 1, -1):
+                if met[trial[t]] >= low:
+                    met[trial[t]] = t
+        turns += more_turns
         for t in range(low, high):
             path[t] = trial[t]
             where[path[t]] = t
-        n, cost, value = m, new_cost, value + gain
+        lengths[r], costs[r], value = m, new_cost, value + gain
         if value > best_value * (1.0 + TIE) or (tidy and value >= best_value and turns < best_turns):
-            best[:n] = path[:n]
-            best_n, best_value, best_turns = n, value, turns
-    return best[:best_n].copy()
+            best[:] = paths
+            best_lengths[:] = lengths
+            best_value, best_turns = value, turns
+    return best[:, : room - 1].copy(), best_lengths
+
+
+@kernel
+def widen(field: Field, limit: float, walk: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return a walk with the best detours put in, one after the other, until none pays or fits the budget.
+
+    A detour replaces a move by two or three over cells beside it, where the gain per cost is highest.
+    """
+    room = int(limit + BUDGET_TOLERANCE) + 1
+    path = np.zeros(max(room, walk.size) + 2, np.int64)
+    n = min(walk.size, room)
+    path[:n] = walk[:n]
+    seen = np.zeros(field.free.size, np.bool_)
+    for t in range(n):
+        seen[path[t]] = True
+    left = limit - walk_cost(field, path, n)
+    while True:
+        best, at, put, first, second, spent = 0.0, -1, 0, 0, 0, 0.0
+        for i in range(n - 1):
+            a, b = path[i], path[i + 1]
+            straight = step_cost(field, b - a)
+            for k in range(field.offsets.size):
+                c = a + field.offsets[k]
+                if c == b or not field.free[c]:
+                    continue
+                gain = 0.0 if seen[c] else field.value[c]
+                over = field.costs[k] + step_cost(field, b - c) - straight
+                if over <= left + BUDGET_TOLERANCE and gain > best * over and n + 1 <= room:
+                    best, at, put, first, spent = gain / max(over, TIE), i, 1, c, over
+                d = b + field.offsets[k]
+                over = 2.0 * field.costs[k]
+                if field.free[d] and d != a and over <= left + BUDGET_TOLERANCE and n + 2 <= room:
+                    gain += 0.0 if seen[d] else field.value[d]
+                    if gain > best * over:
+                        best, at, put, first, second, spent = gain / over, i, 2, c, d, over
+        if at < 0:
+            return path[:n].copy()
+        for t in range(n - 1, at, -1):
+            path[t + put] = path[t]
+        path[at + 1] = first
+        seen[first] = True
+        if put == 2:
+            path[at + 2] = second
+            seen[second] = True
+        n += put
+        left -= spent

@@ -42,8 +42,8 @@ class Spending:
     unit: Literal["steps", "m", "min"]
 
 
-def parse_start(text: str) -> Start:
-    """Read `cell:ROW,COL`, `lonlat:LON,LAT`, `xy:X,Y` or `auto`.
+def parse_start(text: str, option: str = "--start") -> Start:
+    """Read `cell:ROW,COL`, `lonlat:LON,LAT`, `xy:X,Y` or `auto`, given as `option`.
 
     Raises
     ------
@@ -55,18 +55,18 @@ def parse_start(text: str) -> Start:
     found = _START.fullmatch(text.strip())
     forms = "cell:ROW,COL, lonlat:LON,LAT, xy:X,Y or auto"
     if not found:
-        raise ArgumentError(f"--start {text!r} is none of {forms}")
+        raise ArgumentError(f"{option} {text!r} is none of {forms}")
     kind = found[1]
     numbers = [float(found[2]), float(found[3])]
     if not all(map(math.isfinite, numbers)):
-        raise ArgumentError(f"--start {text!r} is not a place")
+        raise ArgumentError(f"{option} {text!r} is not a place")
     if kind == "cell":
         if any(number != math.floor(number) for number in numbers):
-            raise ArgumentError(f"--start {text!r}: a cell's row and column are whole numbers")
+            raise ArgumentError(f"{option} {text!r}: a cell's row and column are whole numbers")
         return Start("cell", *numbers)
     if kind == "lonlat":
         if abs(numbers[0]) > 180 or abs(numbers[1]) > 90:
-            raise ArgumentError(f"--start {text!r}: longitude is -180 to 180 and latitude -90 to 90, in this order")
+            raise ArgumentError(f"{option} {text!r}: longitude is -180 to 180 and latitude -90 to 90, in this order")
         return Start("lonlat", *numbers)
     return Start("xy", *numbers)
 
@@ -104,13 +104,13 @@ def budget_in_cells(spending: Spending, cell_size_m: float, speed_m_s: float) ->
     return Budget(cells, math.sqrt(2.0))
 
 
-def start_cell(start: Start, scoremap: Scoremap) -> tuple[int, int]:
-    """Find the cell of a start.
+def start_cell(start: Start, scoremap: Scoremap, what: str = "start") -> tuple[int, int]:
+    """Find the cell of a start, or of another place that `what` names.
 
     Raises
     ------
     ArgumentError
-        The start lies outside the map, or needs a georeference that the map has not.
+        The place lies outside the map, or needs a georeference that the map has not.
     """
     grid = scoremap.grid
     if start.kind == "auto":
@@ -118,13 +118,13 @@ def start_cell(start: Start, scoremap: Scoremap) -> tuple[int, int]:
     if start.kind == "cell":
         row, col = int(start.first), int(start.second)
     else:
-        row, col = _placed(start, grid)
+        row, col = _placed(start, grid, what)
     if not (0 <= row < grid.rows and 0 <= col < grid.cols):
         swapped = ""
         if start.kind == "lonlat" and _is_inside(Start("lonlat", start.second, start.first), grid):
             swapped = "; with longitude and latitude exchanged it would be inside"
         given = f"{start.kind}:{start.first:.10g},{start.second:.10g}"
-        raise ArgumentError(f"the start {given} is outside the map of {grid.rows} x {grid.cols} cells{swapped}")
+        raise ArgumentError(f"the {what} {given} is outside the map of {grid.rows} x {grid.cols} cells{swapped}")
     return row, col
 
 
@@ -143,15 +143,17 @@ def middle_of_largest_region(score: NDArray[np.float32]) -> tuple[int, int]:
     return int(row), int(col)
 
 
-def _placed(start: Start, grid: Grid) -> tuple[int, int]:
+def _placed(start: Start, grid: Grid, what: str = "start") -> tuple[int, int]:
     if grid.crs is None:
-        raise ArgumentError(f"the scoremap has no georeference: give the start as cell:ROW,COL, not {start.kind}")
+        raise ArgumentError(f"the scoremap has no georeference: give the {what} as cell:ROW,COL, not {start.kind}")
     try:
         x, y = (start.first, start.second)
         if start.kind == "lonlat":
             x, y = grid.xy_of_lonlat(x, y)
     except ValueError as error:
-        raise ArgumentError(f"the start has no place in the scoremap's coordinate reference system: {error}") from error
+        raise ArgumentError(
+            f"the {what} has no place in the scoremap's coordinate reference system: {error}"
+        ) from error
     row, col = grid.rowcol(x, y)
     # Far outside, the inverse transform may not even be a number that fits an index.
     if not (math.isfinite(row) and math.isfinite(col) and abs(row) < _MAX_VALUE and abs(col) < _MAX_VALUE):

@@ -1,4 +1,4 @@
-"""The plan stage: a scoremap becomes a plan, and the train stage: maps become a policy, from file to file."""
+"""The plan stage: a scoremap becomes the plan of a robot or of a team, from file to file."""
 
 from __future__ import annotations
 
@@ -14,29 +14,36 @@ from hrt_cli.artifacts.carriers import json_provenance, publish_json, read_stamp
 from hrt_cli.artifacts.jsonio import read_model
 from hrt_cli.artifacts.stage import REFUSE, Existing, begin
 from hrt_cli.errors import ArgumentError, InputError
-from hrt_cli.planning.planner import plan
+from hrt_cli.planning.planner import MOST_ROBOTS, plan_team, plans_alone
 from hrt_cli.planning.policy import Policy, default_policy_sha256
-from hrt_cli.planning.problem import Plan, Problem
+from hrt_cli.planning.problem import Plan, Problem, TeamPlan
 from hrt_cli.planning.request import Spending, Start, budget_in_cells, start_cell
+from hrt_cli.planning.resume import Driven, read_driven
 from hrt_cli.progress import Progress, silent
 from hrt_cli.raster.grid import Grid
 from hrt_cli.raster.scoremap import Scoremap, read_scoremap
 
 STAGE = "plan"
-STAGE_VERSION = 1
+STAGE_VERSION = 2
 
 
 @dataclass(frozen=True)
 class PlanRequest:
-    """What to plan; see `Problem` and `hrt_cli.planning.planner.plan` for the meaning of each."""
+    """What to plan; see `Problem` and `hrt_cli.planning.planner.plan` for the meaning of each.
 
-    start: Start
+    `starts` and `ends` hold one place for all robots or one for each; without `starts` the robots stand where their
+    earlier drives ended, without `ends` they may end anywhere.
+    """
+
+    starts: tuple[Start, ...]
     budget: Spending
     method: str = "refined"
     objective: Literal["total", "discounted"] = "total"
     gamma: float = 0.99
     connectivity: Literal[4, 8] = 4
     return_home: bool = False
+    ends: tuple[Start, ...] = ()
+    robots: int = 1
     speed_m_s: float = 1.0
     effort: float = 1.0
     samples: int = 256
@@ -45,11 +52,32 @@ class PlanRequest:
 
 @dataclass(frozen=True)
 class Planned:
-    """The plan as it stands in the output, whether it was there already, and the seconds that planning took."""
+    """What the plan stage did.
+
+    Attributes
+    ----------
+    up_to_date : bool
+        Nothing had to be done.
+    document : PlanDocument or TeamPlanDocument
+        What stands in the output.
+    robots : list of PlanDocument
+        The plan of each robot; the document itself for one.
+    seconds : float
+        Wall-clock time of the planning.
+    notes : list of str
+        What the user should know about the start.
+    """
 
     up_to_date: bool
-    document: artifact.PlanDocument
+    document: artifact.PlanDocument | artifact.TeamPlanDocument
+    robots: list[artifact.PlanDocument]
     seconds: float
+    notes: list[str]
+
+
+def robot_path(output: Path, robot: int) -> Path:
+    """Return where the plan of one robot of a team stands: `plan-1.json` beside `plan.json`."""
+    return output.with_name(f"{output.stem}-{robot + 1}{output.suffix}")
 
 
 def plan_file(
@@ -58,58 +86,146 @@ def plan_file(
     request: PlanRequest,
     *,
     policy_path: Path | None = None,
+    visited: tuple[Path, ...] = (),
     existing: Existing = REFUSE,
     progress: Progress = silent,
 ) -> Planned:
     """Plan on the scoremap in `scoremap_path` and write the plan to `output`.
 
+    With several robots `output` is the plan of the team, and the plan of each robot stands beside it (`robot_path`).
+    With `visited`, the drive logs of all robots or of one, cells that they went through pay nothing, what they spent
+    is taken off the budget, and the cells where they got stuck may not be entered.
+
     Raises
     ------
     InputError
-        The scoremap or the policy cannot be used.
+        The scoremap, the policy or a log cannot be used.
     ArgumentError
         The request does not fit the map: a start outside it or on a no-go cell, a budget of nothing.
     OutputError
         See `hrt_cli.artifacts.stage.begin`.
     """
+    _check_counts(request, visited)
     inputs = {"scoremap": scoremap_path} | ({"policy": policy_path} if policy_path else {})
+    inputs |= {f"visited/{index}": path for index, path in enumerate(visited)}
+    files = [output] if request.robots == 1 else [robot_path(output, robot) for robot in range(request.robots)]
     job = begin(
         STAGE,
         STAGE_VERSION,
         inputs=inputs,
         parameters=_parameters(request, policy_path),
-        outputs={output: json_provenance},
+        outputs=dict.fromkeys([*files, output] if request.robots > 1 else files, json_provenance),
         existing=existing,
     )
     if job.up_to_date:
-        return Planned(True, read_model(output, artifact.PlanDocument), 0.0)
+        robots = [artifact.read_plan(path) for path in files]
+        whole = robots[0] if request.robots == 1 else read_model(output, artifact.TeamPlanDocument)
+        return Planned(True, whole, robots, 0.0, [])
     scoremap = read_scoremap(scoremap_path)
     policy = read_policy(policy_path) if policy_path else None
-    budget = budget_in_cells(request.budget, scoremap.cell_size_m, request.speed_m_s)
+    driven = [read_driven(path, scoremap) for path in visited]
     try:
-        problem = Problem(
-            scoremap.score,
-            start_cell(request.start, scoremap),
-            budget,
-            connectivity=request.connectivity,
-            objective=request.objective,
-            gamma=request.gamma,
-            return_home=request.return_home,
+        problems, collected, blocked = _problems(scoremap, request, driven)
+        notes = [note for problem in problems for note in _pocket(problem)]
+        found = plan_team(
+            problems,
+            request.method,
+            policy=policy,
+            effort=request.effort,
+            samples=request.samples,
+            seed=request.seed,
+            progress=progress,
         )
+        plans = [found.together] if request.robots == 1 else plans_alone(problems, found)
     except ArgumentError as error:
         raise ArgumentError(f"{scoremap_path}: {error}") from error
-    found = plan(
-        problem,
-        request.method,
-        policy=policy,
-        effort=request.effort,
-        samples=request.samples,
-        seed=request.seed,
-        progress=progress,
-    )
-    document = _document(found, problem, scoremap, request)
-    publish_json(output, document.model_dump(mode="json", exclude={"provenance"}), job.provenance)
-    return Planned(False, document, found.seconds)
+    robots = [
+        _document(each, problem, scoremap, request, collected, blocked)
+        for each, problem in zip(plans, problems, strict=True)
+    ]
+    for path, document in zip(files, robots, strict=True):
+        publish_json(path, document.model_dump(mode="json", exclude={"provenance"}), job.provenance)
+    seconds = found.together.seconds
+    if request.robots == 1:
+        return Planned(False, robots[0], robots, seconds, notes)
+    team = _team_document(found, robots, files, request)
+    publish_json(output, team.model_dump(mode="json", exclude={"provenance"}), job.provenance)
+    return Planned(False, team, robots, seconds, notes)
+
+
+def _check_counts(request: PlanRequest, visited: tuple[Path, ...]) -> None:
+    if not 1 <= request.robots <= MOST_ROBOTS:
+        raise ArgumentError(f"plans are made for 1 to {MOST_ROBOTS} robots, not {request.robots}")
+    for name, given in (("--start", request.starts), ("--end", request.ends), ("--visited", visited)):
+        if len(given) > 1 and len(given) != request.robots:
+            raise ArgumentError(
+                f"{name} is given {len(given)} times: once, or once for each of {request.robots} robots"
+            )
+    if not request.starts and not visited:
+        raise ArgumentError("a plan needs a --start, or an earlier drive (--visited) that it goes on from")
+    if request.return_home and request.ends:
+        raise ArgumentError("a path that returns home ends at its start: give --return-home or --end, not both")
+
+
+def _problems(
+    scoremap: Scoremap, request: PlanRequest, driven: list[Driven]
+) -> tuple[list[Problem], list[artifact.Cell], list[artifact.Cell]]:
+    """Return the problem of each robot, and the cells that pay nothing and that are blocked for earlier drives."""
+    collected = sorted({(int(row), int(col)) for each in driven for row, col in each.cells})
+    blocked = sorted({cell for each in driven for cell in each.blocked})
+    score = scoremap.score.copy()
+    for cell in collected:
+        if not np.isnan(score[cell]):
+            score[cell] = 0.0
+    for cell in blocked:
+        score[cell] = np.nan
+    problems = []
+    for robot in range(request.robots):
+        before = driven[robot if len(driven) > 1 else 0] if driven else None
+        if request.starts:
+            start = start_cell(request.starts[robot if len(request.starts) > 1 else 0], scoremap)
+        else:
+            start = before.stands if before else (0, 0)
+        end = start if request.return_home else None
+        if request.ends:
+            end = start_cell(request.ends[robot if len(request.ends) > 1 else 0], scoremap, "end")
+        left = request.budget
+        if before is not None:
+            spent = before.spent(left.unit, request.connectivity)
+            if spent >= left.value:
+                raise ArgumentError(f"the earlier drive took {spent:g} {left.unit} of a budget of {left.value:g}")
+            left = Spending(left.value - spent, left.unit)
+        problems.append(
+            Problem(
+                score,
+                start,
+                budget_in_cells(left, scoremap.cell_size_m, request.speed_m_s),
+                connectivity=request.connectivity,
+                objective=request.objective,
+                gamma=request.gamma,
+                end=end,
+            )
+        )
+    return problems, collected, blocked
+
+
+def _pocket(problem: Problem) -> list[str]:
+    """Say so where no-go cells cut the start off from most of the map."""
+    from scipy import ndimage
+
+    shape = np.ones((3, 3)) if problem.connectivity == 8 else None
+    labels, count = ndimage.label(~np.isnan(problem.score), structure=shape)
+    if count < 2:
+        return []
+    sizes = np.bincount(labels.ravel())[1:]
+    mine = int(sizes[labels[problem.start] - 1])
+    if mine * 2 >= int(sizes.sum()):
+        return []
+    row, col = problem.start
+    return [
+        f"the start {row},{col} lies in a pocket of {mine} cells that no-go cells cut off from the other "
+        f"{int(sizes.sum()) - mine} of the map: nothing outside it is planned"
+    ]
 
 
 def read_policy(path: Path) -> Policy:
@@ -128,10 +244,12 @@ def read_policy(path: Path) -> Policy:
 
 
 def _parameters(request: PlanRequest, policy_path: Path | None) -> dict[str, Any]:
-    start, budget = request.start, request.budget
+    budget = request.budget
     return {
         "policy": "given" if policy_path else default_policy_sha256(),
-        "start": [start.kind, start.first, start.second],
+        "starts": [[start.kind, start.first, start.second] for start in request.starts],
+        "ends": [[end.kind, end.first, end.second] for end in request.ends],
+        "robots": request.robots,
         "budget": [budget.value, budget.unit],
         "method": request.method,
         "objective": request.objective,
@@ -145,7 +263,50 @@ def _parameters(request: PlanRequest, policy_path: Path | None) -> dict[str, Any
     }
 
 
-def _document(found: Plan, problem: Problem, scoremap: Scoremap, request: PlanRequest) -> artifact.PlanDocument:
+def _team_document(
+    found: TeamPlan, robots: list[artifact.PlanDocument], files: list[Path], request: PlanRequest
+) -> artifact.TeamPlanDocument:
+    together = found.together
+    members = [
+        artifact.TeamMember(
+            plan=path.name,
+            start=each.start,
+            end=each.end,
+            score=share,
+            steps=each.steps,
+            length_m=each.length_m,
+            time_s=each.time_s,
+            waypoints=len(each.waypoints),
+        )
+        for path, each, share in zip(files, robots, found.shares, strict=True)
+    ]
+    return artifact.TeamPlanDocument(
+        method=together.method,
+        seed=request.seed,
+        objective=request.objective,
+        gamma=request.gamma,
+        connectivity=request.connectivity,
+        score=together.score,
+        discounted_score=together.discounted_score,
+        upper_bound=together.upper_bound,
+        gap=together.gap,
+        discounted_upper_bound=together.discounted_upper_bound,
+        discounted_gap=together.discounted_gap,
+        steps=sum(each.steps for each in robots),
+        length_m=float(sum(each.length_m for each in robots)),
+        time_s=max(each.time_s for each in robots),
+        robots=members,
+    )
+
+
+def _document(
+    found: Plan,
+    problem: Problem,
+    scoremap: Scoremap,
+    request: PlanRequest,
+    collected: list[artifact.Cell],
+    blocked: list[artifact.Cell],
+) -> artifact.PlanDocument:
     grid = scoremap.grid
     cells = [(int(row), int(col)) for row, col in found.cells]
     rows, cols = found.cells[:, 0] + 0.5, found.cells[:, 1] + 0.5
@@ -170,6 +331,9 @@ def _document(found: Plan, problem: Problem, scoremap: Scoremap, request: PlanRe
         budget=artifact.Budget(value=request.budget.value, unit=request.budget.unit, cells=problem.budget.limit),
         grid=_grid(grid, scoremap.cell_size_m),
         start=cells[0],
+        end=problem.end,
+        collected=collected,
+        blocked=blocked,
         steps=len(cells) - 1,
         score=found.score,
         discounted_score=found.discounted_score,

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +15,7 @@ from hrt_cli.planning.families import FAMILIES, make_map
 from hrt_cli.planning.features import LAYOUTS, Blocks, build_blocks, feature_count
 from hrt_cli.planning.jit import kernel
 from hrt_cli.planning.policy import SEED_STRIDE, Policy, roll
-from hrt_cli.planning.problem import Budget, Problem
+from hrt_cli.planning.problem import NEIGHBOURS_8, Budget, Problem
 from hrt_cli.planning.walk import Field, build_field, capacity
 from hrt_cli.progress import Progress, silent
 
@@ -78,7 +79,9 @@ class TrainSpec:
             raise ArgumentError(f"unknown feature layout {self.layout!r} (one of: {', '.join(LAYOUTS)})")
         unknown = sorted(set(self.families) - set(FAMILIES))
         if unknown or not self.families:
-            raise ArgumentError(f"unknown map families: {', '.join(unknown) or 'none given'}")
+            raise ArgumentError(
+                f"unknown map families: {', '.join(unknown) or 'none given'} (known: {', '.join(FAMILIES)})"
+            )
         for name, least in (("iterations", 1), ("maps_per_iteration", 1), ("rollouts", 2), ("map_side", 4),
                             ("moves", 1), ("seed", 0)):  # fmt: skip
             if getattr(self, name) < least:
@@ -89,6 +92,64 @@ class TrainSpec:
             raise ArgumentError(f"learning_rate must be a positive number, not {self.learning_rate}")
         if not 0.0 <= self.eight <= 1.0:
             raise ArgumentError(f"eight must be between 0 and 1, not {self.eight}")
+
+
+@dataclass(frozen=True)
+class TrainState:
+    """Where a training stands between two steps of the optimiser: all that the next ones depend on.
+
+    Attributes
+    ----------
+    done : int
+        Steps made.
+    weights : ndarray, float64 [weights]
+        The policy's.
+    mean, square : ndarray, float64 [weights]
+        Adam's running means of the gradient and of its square, which start from zero.
+    curve : ndarray, float64 [iterations]
+        The learning curve; what comes from `done` on means nothing yet. Later states share it.
+    """
+
+    done: int
+    weights: NDArray[np.float64]
+    mean: NDArray[np.float64]
+    square: NDArray[np.float64]
+    curve: NDArray[np.float64]
+
+    @classmethod
+    def fresh(cls, spec: TrainSpec) -> TrainState:
+        """Return the state before the first step."""
+        weights = np.zeros(feature_count(spec.layout))
+        return cls(0, weights, np.zeros_like(weights), np.zeros_like(weights), np.zeros(spec.iterations))
+
+    def to_arrays(self) -> dict[str, NDArray[np.generic]]:
+        """Return the state as named arrays without objects, ready for an NPZ file."""
+        return {"weights": self.weights, "mean": self.mean, "square": self.square, "curve": self.curve[: self.done]}
+
+    @classmethod
+    def from_arrays(cls, spec: TrainSpec, arrays: Mapping[str, NDArray[np.generic]]) -> TrainState:
+        """Return the state that `to_arrays` wrote.
+
+        Raises
+        ------
+        ValueError
+            When the arrays are not those of a training as `spec` wants it.
+        """
+        state = cls.fresh(spec)
+        expected = state.to_arrays()
+        if set(arrays) != set(expected):
+            raise ValueError("is not the state of a training")
+        for name, like in expected.items():
+            shape = (min(arrays[name].size, spec.iterations),) if name == "curve" else like.shape
+            if arrays[name].dtype != like.dtype or arrays[name].shape != shape:
+                raise ValueError(f"{name} is {arrays[name].dtype} {arrays[name].shape}, not {like.dtype} {shape}")
+            if not np.isfinite(arrays[name].astype(np.float64)).all():
+                raise ValueError(f"{name} is not finite")
+        weights, mean, square, curve = (
+            arrays[name].astype(np.float64) for name in ("weights", "mean", "square", "curve")
+        )
+        state.curve[: curve.size] = curve
+        return cls(curve.size, weights, mean, square, state.curve)
 
 
 @kernel
@@ -157,10 +218,17 @@ def reinforce_gradient(rewards: NDArray[np.float64], scores: NDArray[np.float64]
     return np.asarray(np.einsum("i,itk->k", advantage, scores) / count)
 
 
+def forget(state: TrainState) -> None:
+    """Keep nothing: what `train` does with its states unless told otherwise."""
+
+
 def train(
     spec: TrainSpec,
     maps: Sequence[NDArray[np.floating]] | None = None,
     progress: Progress = silent,
+    *,
+    state: TrainState | None = None,
+    keep: Callable[[TrainState], object] = forget,
 ) -> tuple[Policy, NDArray[np.float64]]:
     """Train a policy; return it and its learning curve.
 
@@ -172,41 +240,59 @@ def train(
         Score maps to draw from (NaN = no-go); without it new maps of `spec.families` are made all along.
     progress : Progress
         Called with (iterations done, iterations).
+    state : TrainState, optional
+        Where an earlier training by the same `spec` and `maps` was; the outcome is that of one that never stopped.
+    keep : callable
+        Called with the state after each step.
 
     Returns
     -------
     policy : Policy
     curve : ndarray, float64 [iterations]
-        Mean share of the best T cells of the map that a rollout collected, per iteration.
+        Mean share of the best T cells of the map (of all, where there are fewer) that a rollout collected, per
+        iteration.
 
     Raises
     ------
     ArgumentError
-        When no map has a cell to start from.
+        When a map has no cell to start from.
     """
-    weights = np.zeros(feature_count(spec.layout))
-    mean, square = np.zeros_like(weights), np.zeros_like(weights)
-    curve = np.zeros(spec.iterations)
-    rng = np.random.default_rng(spec.seed)
+    state = state or TrainState.fresh(spec)
     with ThreadPoolExecutor(THREADS) as pool:
-        for step in range(spec.iterations):
-            seeds = rng.integers(0, 2**62, spec.maps_per_iteration)
-            current = weights.copy()
-            outcomes = list(pool.map(lambda s: _try_map(spec, maps, current, int(s)), seeds))  # noqa: B023
-            gradient = np.mean([outcome[0] for outcome in outcomes], axis=0)
-            curve[step] = float(np.mean([outcome[1] for outcome in outcomes]))
-            mean = ADAM_DECAY[0] * mean + (1 - ADAM_DECAY[0]) * gradient
-            square = ADAM_DECAY[1] * square + (1 - ADAM_DECAY[1]) * gradient**2
-            unbiased = mean / (1 - ADAM_DECAY[0] ** (step + 1))
-            spread = np.sqrt(square / (1 - ADAM_DECAY[1] ** (step + 1)))
-            fade = 0.55 + 0.45 * np.cos(np.pi * step / spec.iterations)
-            weights = weights + spec.learning_rate * fade * unbiased / (spread + ADAM_EPSILON)
-            progress(step + 1, spec.iterations)
+        while state.done < spec.iterations:
+            state = _step(spec, maps, state, pool)
+            keep(state)
+            progress(state.done, spec.iterations)
     recipe: dict[str, str | int | float] = {
         name: ",".join(value) if isinstance(value, tuple) else value for name, value in asdict(spec).items()
     }
     recipe["maps"] = "generated" if maps is None else len(maps)
-    return Policy(weights, spec.layout, recipe), curve
+    return Policy(state.weights, spec.layout, recipe), state.curve
+
+
+def _step(
+    spec: TrainSpec, maps: Sequence[NDArray[np.floating]] | None, state: TrainState, pool: ThreadPoolExecutor
+) -> TrainState:
+    """Roll out on the maps of one step and follow their mean gradient by Adam."""
+    step = state.done
+    outcomes = list(pool.map(partial(_try_map, spec, maps, state.weights), _map_seeds(spec, step)))
+    gradient = np.mean([outcome[0] for outcome in outcomes], axis=0)
+    state.curve[step] = float(np.mean([outcome[1] for outcome in outcomes]))
+    mean = ADAM_DECAY[0] * state.mean + (1 - ADAM_DECAY[0]) * gradient
+    square = ADAM_DECAY[1] * state.square + (1 - ADAM_DECAY[1]) * gradient**2
+    unbiased = mean / (1 - ADAM_DECAY[0] ** (step + 1))
+    spread = np.sqrt(square / (1 - ADAM_DECAY[1] ** (step + 1)))
+    fade = 0.55 + 0.45 * np.cos(np.pi * step / spec.iterations)
+    weights = state.weights + spec.learning_rate * fade * unbiased / (spread + ADAM_EPSILON)
+    return TrainState(step + 1, weights, mean, square, state.curve)
+
+
+def _map_seeds(spec: TrainSpec, step: int) -> list[int]:
+    """Return the seeds of a step's maps: they depend on nothing else, so that a training can go on at any step."""
+    source = np.random.PCG64(spec.seed)
+    # One stream for all steps. A seed takes one word of it, for a power of two is drawn without rejections.
+    source.advance(step * spec.maps_per_iteration)
+    return [int(seed) for seed in np.random.Generator(source).integers(0, 2**62, spec.maps_per_iteration)]
 
 
 def _try_map(
@@ -228,15 +314,26 @@ def _try_map(
         gradient = gpomdp_gradient(rewards, scores, spec.trace_decay)
     else:
         gradient = reinforce_gradient(rewards, scores)
-    return gradient, float(rewards.sum(axis=1).mean())
+    # On a map of fewer cells than moves, all that there is counts as 1.
+    most = min(1.0, np.count_nonzero(field.free) / spec.moves)
+    return gradient, float(rewards.sum(axis=1).mean()) / most
+
+
+def start_cells(score: NDArray[np.floating], connectivity: int) -> NDArray[np.bool_]:
+    """Return which cells of a score map [rows, cols] (NaN = no-go) a robot can start from: those not walled in."""
+    rows, cols = score.shape
+    framed = np.pad(~np.isnan(score), 1)
+    beside = np.zeros((rows, cols), np.bool_)
+    for dr, dc in NEIGHBOURS_8 if connectivity == 8 else NEIGHBOURS_8[::2]:
+        beside |= framed[1 + dr : 1 + dr + rows, 1 + dc : 1 + dc + cols]
+    return np.asarray(beside & framed[1:-1, 1:-1])
 
 
 def _problem_on(score: NDArray[np.floating], moves: int, connectivity: int, rng: np.random.Generator) -> Problem:
     """Return a problem with a random start that is not walled in."""
-    for index in rng.permutation(np.flatnonzero(~np.isnan(score)))[:100]:
-        start = (int(index) // score.shape[1], int(index) % score.shape[1])
-        try:
-            return Problem(score, start, Budget(float(moves)), connectivity)
-        except ArgumentError:
-            continue
-    raise ArgumentError("a training map has no cell a robot could start from")
+    order = rng.permutation(np.flatnonzero(~np.isnan(score)))
+    starts = order[start_cells(score, connectivity).ravel()[order]]
+    if not starts.size:
+        raise ArgumentError("a training map has no cell a robot could start from")
+    start = divmod(int(starts[0]), score.shape[1])
+    return Problem(score, start, Budget(float(moves)), connectivity)

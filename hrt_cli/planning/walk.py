@@ -7,13 +7,15 @@ and flattened, so that a move is one addition and no kernel ever tests for the m
 from __future__ import annotations
 
 import heapq
-from typing import NamedTuple
+from collections.abc import Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from hrt_cli.errors import ArgumentError
 from hrt_cli.planning.jit import kernel, lean_kernel
-from hrt_cli.planning.problem import BUDGET_TOLERANCE, Problem
+from hrt_cli.planning.problem import BUDGET_TOLERANCE, NEIGHBOURS_8, Problem
 
 UNREACHED = np.inf
 
@@ -37,14 +39,14 @@ class Field(NamedTuple):
         Cost of the cheapest walk from the start with an even and with an odd number of moves; where diagonals
         cost more than 1, both rows hold the cheapest cost whatever the number of moves.
     home : ndarray, float64 [2, n]
-        What must be left of the budget at a cell, by the parity of what is left: zeros, or `reach` when the
-        robot must return.
+        What must be left of the budget at a cell, by the parity of what is left: zeros, or the cost of getting
+        to `end`.
     limit : float
-        The budget in cell units, less the one move that parity takes from a closed walk.
+        The budget in cell units, less the one move that parity can take from a walk with a given end.
     row, col : int
         Map position of the window's index 0.
-    returns : bool
-        Whether the walk must end at the start.
+    end : int
+        Index of the cell where the walk must end, -1 where it may end anywhere.
     exact : bool
         Whether every move costs 1, so that a walk has exactly `limit` moves.
     """
@@ -60,7 +62,7 @@ class Field(NamedTuple):
     limit: float
     row: int
     col: int
-    returns: bool
+    end: int
     exact: bool
 
 
@@ -124,7 +126,13 @@ def travel_costs(
 def build_field(problem: Problem) -> Field:
     """Return the reachable window of `problem` as a `Field`.
 
-    Cells that no walk within the budget can enter (and leave in time, when it must return) are not free.
+    Cells that no walk within the budget can enter (and leave in time for its end, where that is given) are not
+    free.
+
+    Raises
+    ------
+    ArgumentError
+        When the end cannot be reached within the budget.
     """
     row0, col0, score = _nearby(problem)
     framed = np.pad(score, 1, constant_values=np.nan)
@@ -136,26 +144,44 @@ def build_field(problem: Problem) -> Field:
     diagonal = 1.0 if problem.counts_moves else problem.budget.diagonal_cost
     costs = np.array([diagonal if dr and dc else 1.0 for dr, dc in problem.neighbours])
     reach = _reach(free, offsets, costs, start, problem)
-    limit = problem.limit
-    if problem.return_home and problem.counts_moves and reach[int(limit) % 2, start] > limit:
-        limit -= 1.0
-    shortest = reach.min(axis=0)
-    free &= shortest * (2.0 if problem.return_home else 1.0) <= limit + BUDGET_TOLERANCE
+    limit, end, home = problem.limit, -1, np.zeros_like(reach)
+    if problem.end is not None:
+        row, col = problem.end[0] - row0 + 1, problem.end[1] - col0 + 1
+        end = row * width + col if 0 < row < framed.shape[0] - 1 and 0 < col < width - 1 else 0
+        home = reach if problem.end == problem.start else _reach(free, offsets, costs, end, problem)
+        limit = _limit_to_end(problem, reach[:, end])
+    onward = reach.min(axis=0) + home.min(axis=0)
+    free &= onward <= limit + BUDGET_TOLERANCE
     reach = np.where(free, reach, UNREACHED)
-    home = reach.copy() if problem.return_home else np.zeros_like(reach)
+    if problem.end is not None:
+        home = np.where(free, home, UNREACHED)
     value = np.where(free, np.nan_to_num(flat), 0.0)
     return _crop(
         Field(
             value, free, width, offsets, costs, start, reach, home, limit,
-            row0 - 1, col0 - 1, problem.return_home, problem.counts_moves,
+            row0 - 1, col0 - 1, end, problem.counts_moves,
         ),
         problem.neighbours,
     )  # fmt: skip
 
 
+def _limit_to_end(problem: Problem, reach: NDArray[np.float64]) -> float:
+    """Return the budget, less one move where its parity does not fit a walk to the end.
+
+    `reach` [2] is the cost of the cheapest walk to the end by the parity of its moves.
+    """
+    limit = problem.limit
+    if float(reach.min()) > limit + BUDGET_TOLERANCE:
+        row, col = problem.end or (-1, -1)
+        raise ArgumentError(f"the end cell {row},{col} cannot be reached from the start within the budget")
+    if problem.counts_moves and reach[int(limit) % 2] > limit:
+        return limit - 1.0
+    return limit
+
+
 def _nearby(problem: Problem) -> tuple[int, int, NDArray[np.float64]]:
     """Cut the map to the square no walk can leave; return its upper left cell and its scores."""
-    span = int(problem.limit // 2 if problem.return_home else problem.limit)
+    span = int(problem.limit // 2 if problem.end == problem.start else problem.limit)
     row, col = problem.start
     row0, col0 = max(row - span, 0), max(col - span, 0)
     part = problem.score[row0 : row + span + 1, col0 : col + span + 1]
@@ -195,11 +221,62 @@ def _crop(field: Field, neighbours: tuple[tuple[int, int], ...]) -> Field:
         width=width,
         offsets=np.array([dr * width + dc for dr, dc in neighbours], np.int64),
         start=(start_row - top) * width + start_col - left,
+        end=-1 if field.end < 0 else (field.end // field.width - top) * width + field.end % field.width - left,
         reach=cut(field.reach),
         home=cut(field.home),
         row=field.row + top,
         col=field.col + left,
     )
+
+
+def join_fields(fields: Sequence[Field]) -> tuple[list[Field], Field]:
+    """Return the fields on one common window, and the window with every cell that some robot can enter.
+
+    The common field has the start, the end and the distances of the first robot.
+    """
+    if len(fields) == 1:
+        return list(fields), fields[0]
+    shapes = [(field.free.size // field.width, field.width) for field in fields]
+    top, left = min(field.row for field in fields), min(field.col for field in fields)
+    bottom = max(field.row + rows for field, (rows, _) in zip(fields, shapes, strict=True))
+    right = max(field.col + cols for field, (_, cols) in zip(fields, shapes, strict=True))
+    width = right - left
+
+    def place(flat: NDArray[Any], shape: tuple[int, int], field: Field, outside: float) -> NDArray[Any]:
+        wide = np.full((*flat.shape[:-1], bottom - top, width), outside, flat.dtype)
+        rows, cols = (
+            slice(field.row - top, field.row - top + shape[0]),
+            slice(field.col - left, field.col - left + shape[1]),
+        )
+        wide[..., rows, cols] = flat.reshape(*flat.shape[:-1], *shape)
+        return wide.reshape(*flat.shape[:-1], -1)
+
+    def move(index: int, field: Field) -> int:
+        row, col = divmod(index, field.width)
+        return (row + field.row - top) * width + col + field.col - left
+
+    kinds = NEIGHBOURS_8[:: 8 // fields[0].offsets.size]
+    offsets = np.array([dr * width + dc for dr, dc in kinds], np.int64)
+    placed = [
+        field._replace(
+            value=place(field.value, shape, field, 0.0),
+            free=place(field.free, shape, field, False),
+            width=width,
+            offsets=offsets,
+            start=move(field.start, field),
+            reach=place(field.reach, shape, field, UNREACHED),
+            home=place(field.home, shape, field, UNREACHED if field.end >= 0 else 0.0),
+            row=top,
+            col=left,
+            end=-1 if field.end < 0 else move(field.end, field),
+        )
+        for field, shape in zip(fields, shapes, strict=True)
+    ]
+    value, free = placed[0].value, placed[0].free
+    for field in placed[1:]:
+        value, free = np.maximum(value, field.value), free | field.free
+    placed = [field._replace(value=value) for field in placed]
+    return placed, placed[0]._replace(free=free)
 
 
 def to_cells(field: Field, path: NDArray[np.int64]) -> NDArray[np.int32]:
@@ -227,6 +304,30 @@ def walk_value(
         discount *= gamma
     for t in range(n):
         seen[path[t]] = False
+    return total
+
+
+@lean_kernel
+def team_value(
+    value: NDArray[np.float64], paths: NDArray[np.int64], sizes: NDArray[np.int64], gamma: float,
+    seen: NDArray[np.bool_],
+) -> float:  # fmt: skip
+    """Return what several walks are worth together: each cell pays once, at the earliest visit of any of them.
+
+    `paths` [robots, cells] and `sizes` [robots]; `seen` is all false before and after.
+    """
+    total, discount = 0.0, 1.0
+    for t in range(paths.shape[1]):
+        for r in range(sizes.size):
+            if t < sizes[r]:
+                cell = paths[r, t]
+                if not seen[cell]:
+                    seen[cell] = True
+                    total += discount * value[cell]
+        discount *= gamma
+    for r in range(sizes.size):
+        for t in range(sizes[r]):
+            seen[paths[r, t]] = False
     return total
 
 
@@ -320,3 +421,38 @@ def next_uniform(state: NDArray[np.uint64]) -> float:
 def next_below(state: NDArray[np.uint64], n: int) -> int:
     """Return an integer in [0, n) and advance `state`."""
     return int(next_uniform(state) * n)
+
+
+@kernel
+def fit(field: Field, way: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return the longest beginning of a way that the budget allows, and from there the cheapest way to the end.
+
+    `way` int64 [k] are neighbouring cells from the start on; without a given end the walk stops where they do.
+    """
+    path = np.empty(capacity(field) + 1, np.int64)
+    path[0] = field.start
+    n, left = 1, field.limit
+    for i in range(1, way.size):
+        move = -1
+        for k in range(field.offsets.size):
+            if path[n - 1] + field.offsets[k] == way[i] and may_step(field, path[n - 1], k, left):
+                move = k
+        if move < 0:
+            break
+        left -= field.costs[move]
+        path[n] = way[i]
+        n += 1
+    while field.end >= 0 and path[n - 1] != field.end:
+        best, least = -1, np.inf
+        for k in range(field.offsets.size):
+            if may_step(field, path[n - 1], k, left):
+                after = path[n - 1] + field.offsets[k]
+                onward = field.home[int(left - field.costs[k] + 0.5) & 1, after] + field.costs[k]
+                if onward < least:
+                    best, least = k, onward
+        if best < 0:
+            break
+        left -= field.costs[best]
+        path[n] = path[n - 1] + field.offsets[best]
+        n += 1
+    return path[:n].copy()

@@ -14,7 +14,7 @@ from affine import Affine
 from numpy.typing import NDArray
 
 from hrt_cli.artifacts.jsonio import read_model
-from hrt_cli.artifacts.plan import PlanDocument
+from hrt_cli.artifacts.plan import PlanDocument, TeamPlanDocument, read_plan, team_members
 from hrt_cli.artifacts.png import png_provenance, publish_png
 from hrt_cli.artifacts.stage import Existing, begin
 from hrt_cli.errors import InputError
@@ -34,6 +34,7 @@ MAX_PX = 1400
 _OVERLAY_ALPHA = 0.55
 _PATH_COLOUR = "#ffffff"
 _PATH_EDGE = "#111111"
+_TEAM_COLOURS = ("#ffffff", "#56b4e9", "#e69f00", "#cc79a7", "#f0e442", "#009e73", "#0072b2", "#d55e00")
 _PAD = 0.03
 
 
@@ -92,21 +93,25 @@ def draw_scoremap(scoremap_path: Path, output: Path, *, backdrop: Path | None, e
 
 
 def draw_plan(plan_path: Path, scoremap_path: Path, output: Path, *, backdrop: Path | None, existing: Existing) -> bool:
-    """Draw a plan on its scoremap; return whether it was up to date."""
-    inputs = {"plan": plan_path, "scoremap": scoremap_path}
+    """Draw a plan on its scoremap, of one robot or of a team; return whether it was up to date."""
+    members = team_members(plan_path)
+    inputs = {"plan": plan_path, "scoremap": scoremap_path} | {f"robot/{k}": path for k, path in enumerate(members)}
     with _figure("figure-plan", inputs, output, backdrop, existing) as (job, behind):
         if job is None:
             return True
-        plan = read_model(plan_path, PlanDocument)
+        plans = [read_plan(path) for path in members or [plan_path]]
+        whole = read_model(plan_path, TeamPlanDocument) if members else plans[0]
         scoremap = read_scoremap(scoremap_path)
         title = (
-            f"{plan.method}: score {plan.score:.1f}, {1 - plan.gap:.1%} of the bound, "
-            f"{plan.steps} steps, {plan.length_m:.0f} m"
+            f"{whole.method}: {f'{len(plans)} robots, ' if members else ''}score {whole.score:.1f}, "
+            f"{1 - whole.gap:.1%} of the bound, {whole.steps} steps, {whole.length_m:.0f} m"
         )
         figure, axes = _canvas(behind.grid if behind else scoremap.grid, title)
         _show_backdrop(axes, behind)
         _show_scores(figure, axes, scoremap, behind, 0.35 if behind else 0.9)
-        _show_path(axes, plan, scoremap.grid, behind)
+        for robot, plan in enumerate(plans):
+            colour = _PATH_COLOUR if not members else _TEAM_COLOURS[robot % len(_TEAM_COLOURS)]
+            _show_path(axes, plan, scoremap.grid, behind, colour, f"robot {robot + 1}" if members else "")
         _legend(axes, [(NO_GO_COLOUR, "no-go")])
         job.publish(figure)
         return False
@@ -256,16 +261,26 @@ def _show_scores(figure: Figure, axes: Axes, scoremap: Scoremap, behind: Backdro
         bar.solids.set_alpha(1.0)
 
 
-def _show_path(axes: Axes, plan: PlanDocument, grid: Grid, behind: Backdrop | None) -> None:
+def _show_path(axes: Axes, plan: PlanDocument, grid: Grid, behind: Backdrop | None, colour: str, name: str) -> None:
+    """Draw a path; one of several bears a name and its number at the start."""
     from matplotlib import patheffects
 
     cells = np.array(plan.cells)
     placed = np.array(_place(grid, behind.grid if behind else grid, cells[:, 0] + 0.5, cells[:, 1] + 0.5))
     edge = [patheffects.Stroke(linewidth=3.2, foreground=_PATH_EDGE), patheffects.Normal()]
-    axes.plot(placed[:, 1], placed[:, 0], color=_PATH_COLOUR, lw=1.6, path_effects=edge, zorder=5)
-    for index, marker, colour, label in ((0, "o", "#2ca02c", "start"), (-1, "s", "#d62728", "end")):
+    axes.plot(placed[:, 1], placed[:, 0], color=colour, lw=1.6, path_effects=edge, zorder=5, label=name or "_nolegend_")
+    # A closed path ends on its start: the square goes first, so that the round mark is seen in it.
+    for index, marker, fill, label in ((-1, "s", "#d62728", "end"), (0, "o", "#2ca02c", "start")):
         axes.plot(
-            placed[index, 1], placed[index, 0], marker, color=colour, ms=9, mec="white", mew=1.5, label=label, zorder=6
+            placed[index, 1],
+            placed[index, 0],
+            marker,
+            color=colour if name else fill,
+            ms=11 if marker == "s" else 8,
+            mec="white" if not name else "#111111",
+            mew=1.5,
+            label="_nolegend_" if name else label,
+            zorder=6,
         )
 
 

@@ -8,35 +8,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 from affine import Affine
+from plan_files import PLACE, UTM33, put, scores
 from rasterio.crs import CRS
 
-from hrt_cli.artifacts.provenance import record
 from hrt_cli.errors import InputError
-from hrt_cli.evaluation.plans import BASELINES, evaluate_plans
+from hrt_cli.evaluation.plans import BASELINES, PLANNERS, Trials, evaluate_plans
 from hrt_cli.planning.request import parse_budget, parse_start
 from hrt_cli.planning.stage import PlanRequest, plan_file
-from hrt_cli.raster.grid import Grid
-from hrt_cli.raster.scoremap import Scoremap, publish_scoremap
-
-UTM33 = CRS.from_epsg(32633)
-PLACE = Affine(1, 0, 400_000, 0, -1, 5_000_000)
-
-
-def scores() -> np.ndarray:
-    score = np.random.default_rng(4).random((20, 24)).astype(np.float32)
-    score[5:9, 12] = np.nan
-    return score
-
-
-def put(path: Path, score: np.ndarray, transform: Affine = PLACE, crs: CRS = UTM33) -> Path:
-    grid = Grid(*score.shape, transform, crs)
-    sd = np.where(np.isnan(score), np.nan, 0).astype(np.float32)
-    publish_scoremap(path, Scoremap(score, sd, grid, 1.0), record("test", 1, {}, {}), tags={}, creation={})
-    return path
 
 
 def planned(scoremap: Path, path: Path, budget: str = "30", start: str = "cell:3,4", **options: object) -> Path:
-    request = PlanRequest(parse_start(start), parse_budget(budget), effort=0.1, **options)  # type: ignore[arg-type]
+    request = PlanRequest((parse_start(start),), parse_budget(budget), effort=0.1, **options)  # type: ignore[arg-type]
     plan_file(scoremap, path, request)
     return path
 
@@ -57,6 +39,7 @@ def test_worth_is_recomputed_from_the_cells(site: tuple[Path, Path]) -> None:
     assert worth.discounted_score == pytest.approx(document["discounted_score"], rel=1e-6)
     assert worth.fraction_of_bound == pytest.approx(worth.score / found.upper_bound)
     assert set(found.baselines) == set(BASELINES)
+    assert set(found.planner) == set(PLANNERS)
     assert all(0 < each.fraction_of_bound <= 1 + 1e-9 for each in (*found.plans.values(), *found.baselines.values()))
 
 
@@ -112,3 +95,56 @@ def test_the_bound_is_of_the_map_not_of_the_plan(site: tuple[Path, Path], tmp_pa
     found = evaluate_plans(richer, (site[1],))
     assert found.plans[str(site[1])].fraction_of_bound <= 1 + 1e-9
     assert found.upper_bound == pytest.approx(5 * evaluate_plans(site[0], (site[1],)).upper_bound, rel=0.02)
+
+
+def test_the_discounted_bound_is_that_of_the_plans_gamma(site: tuple[Path, Path], tmp_path: Path) -> None:
+    scoremap, _ = site
+    plan = planned(scoremap, tmp_path / "d.json", objective="discounted", gamma=0.9)
+    document = json.loads(plan.read_text())
+    found = evaluate_plans(scoremap, (plan,), Trials(planner=False))
+    assert found.discounted_upper_bound == pytest.approx(document["discounted_upper_bound"], rel=0.05)
+    assert found.discounted_upper_bound < 0.7 * found.upper_bound
+    worth = found.plans[str(plan)]
+    assert worth.fraction_of_discounted_bound == pytest.approx(worth.discounted_score / found.discounted_upper_bound)
+    assert 0.9 < worth.fraction_of_discounted_bound <= 1
+    undiscounted = planned(scoremap, tmp_path / "u.json", gamma=1.0)
+    same = evaluate_plans(scoremap, (undiscounted,), Trials(planner=False))
+    assert same.discounted_upper_bound == same.upper_bound
+
+
+@pytest.mark.parametrize(
+    ("options", "unit", "limit", "last"),
+    [
+        ({"budget": "30"}, "steps", 30, "score"),
+        ({"budget": "25.5m", "connectivity": 8}, "m", 25.5, "score"),
+        ({"budget": "30", "objective": "discounted"}, "steps", 30, "discounted_score"),
+    ],
+)
+def test_the_chart_ends_at_what_the_walks_are_worth(
+    site: tuple[Path, Path], tmp_path: Path, options: dict[str, object], unit: str, limit: float, last: str
+) -> None:
+    plan = planned(site[0], tmp_path / "c.json", **options)  # type: ignore[arg-type]
+    found = evaluate_plans(site[0], (plan,))
+    assert (found.chart.unit, found.chart.limit) == (unit, pytest.approx(limit))
+    assert found.chart.bound == (found.upper_bound if last == "score" else found.discounted_upper_bound)
+    worth = found.plans | found.planner | found.baselines
+    assert [curve.name for curve in found.chart.curves] == list(worth)
+    for curve in found.chart.curves:
+        assert curve.reward[-1] == pytest.approx(getattr(worth[curve.name], last))
+        assert curve.travelled[-1] <= limit + 1e-6
+        assert (np.diff(curve.reward) >= 0).all()
+
+
+def test_the_chart_over_starts_is_of_means_and_progress_ends(site: tuple[Path, Path]) -> None:
+    told: list[tuple[int, int]] = []
+    trials = Trials(planner=False, starts=3, seeds=2)
+    found = evaluate_plans(*site[:1], site[1:], trials, progress=lambda done, total: told.append((done, total)))
+    assert told == [(k, 15) for k in range(16)]
+    assert found.starts is not None
+    assert [curve.role for curve in found.chart.curves] == ["baseline"] * 5
+    for curve in found.chart.curves:
+        assert curve.reward[-1] == pytest.approx(found.starts.methods[curve.name].score.mean)
+        assert curve.low is not None
+        assert curve.high is not None
+        assert (curve.low <= curve.high).all()
+    assert found.chart.bound == found.starts.bound

@@ -52,7 +52,7 @@ def plan_on(ortho: Path, folder: Path) -> Path:
     classes, scoremap, plan = folder / "c.tif", folder / "s.tif", folder / "p.json"
     segment_file([ortho], classes, Wanted(SegmentSpec(4)))
     make_scoremap(classes, scoremap)
-    request = PlanRequest(parse_start("auto"), parse_budget(f"{BUDGET}m"), effort=0.1)
+    request = PlanRequest((parse_start("auto"),), parse_budget(f"{BUDGET}m"), effort=0.1)
     plan_file(scoremap, plan, request)
     return plan
 

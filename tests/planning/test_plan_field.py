@@ -14,10 +14,10 @@ from hrt_cli.planning.walk import build_field, count_turns, to_cells, to_path, w
 RELAXED = {"deadline": None, "suppress_health_check": list(HealthCheck)}
 
 
-def costs_by_parity(problem):
+def costs_by_parity(problem, source):
     """Cheapest cost to each (cell, parity of moves), by Dijkstra's algorithm on dictionaries."""
-    best = {(problem.start, 0): 0.0}
-    heap = [(0.0, problem.start, 0)]
+    best = {(source, 0): 0.0}
+    heap = [(0.0, source, 0)]
     while heap:
         cost, cell, parity = heapq.heappop(heap)
         if cost > best[cell, parity]:
@@ -38,12 +38,18 @@ def costs_by_parity(problem):
 @given(problem=worlds())
 def test_distances_and_reachable_cells(problem):
     field = build_field(problem)
-    costs = costs_by_parity(problem)
-    factor = 2 if problem.return_home else 1
+    costs = costs_by_parity(problem, problem.start)
+    onward = costs_by_parity(problem, problem.end) if problem.end is not None else {}
+
+    def through(cell):
+        """The cheapest walk by way of a cell."""
+        least = min(costs.get((cell, parity), math.inf) for parity in (0, 1))
+        return least + (min(onward.get((cell, p), math.inf) for p in (0, 1)) if problem.end is not None else 0.0)
+
     for index in range(field.free.size):
         cell = tuple(int(x) for x in to_cells(field, np.array([index]))[0])
         nearest = min((costs.get((cell, parity), math.inf) for parity in (0, 1)), default=math.inf)
-        assert field.free[index] == (factor * nearest <= field.limit + 1e-9)
+        assert field.free[index] == (through(cell) <= field.limit + 1e-9)
         if not field.free[index]:
             continue
         assert field.value[index] == problem.score[cell]
@@ -52,8 +58,7 @@ def test_distances_and_reachable_cells(problem):
             exact = costs.get((cell, parity), math.inf)
             if problem.counts_moves and exact <= field.limit:
                 assert field.reach[parity, index] == exact
-    inside = {cell for cell, _ in costs if factor * min(costs.get((cell, p), math.inf) for p in (0, 1)) <= field.limit}
-    assert field.free.sum() == len(inside)
+    assert field.free.sum() == len({cell for cell, _ in costs if through(cell) <= field.limit + 1e-9})
 
 
 def test_cells_and_paths_round_trip():

@@ -66,7 +66,7 @@ def test_impossible_diagonal_costs_are_refused(cost):
         {"gamma": 0.0},
         {"gamma": 1.1},
         {"gamma": math.nan},
-        {"budget": Budget(1.0), "return_home": True},
+        {"budget": Budget(1.0), "end": (0, 0)},
     ],
 )
 def test_impossible_parameters_are_refused(kind):
@@ -96,7 +96,7 @@ def test_bad_planner_arguments_are_refused(change):
 
 
 def test_float32_maps_and_odd_closed_walks():
-    found = plan(Problem(FLAT.astype(np.float32), (0, 0), Budget(9.0), return_home=True))
+    found = plan(Problem(FLAT.astype(np.float32), (0, 0), Budget(9.0), end=(0, 0)))
     assert len(found.cells) == 9
     assert found.cells[-1].tolist() == [0, 0]
     assert found.score == pytest.approx(8.0)

@@ -6,6 +6,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from plan_worlds import check_walk, discounted_score, optimum, total_score, worlds
 
+from hrt_cli.errors import ArgumentError
 from hrt_cli.planning.families import FAMILIES, make_map
 from hrt_cli.planning.planner import METHODS, plan
 from hrt_cli.planning.problem import Budget, Problem
@@ -31,7 +32,7 @@ def made(problem, method, seed=0):
     return value
 
 
-@settings(max_examples=220, **RELAXED)
+@settings(max_examples=500, **RELAXED)
 @given(problem=worlds(), seed=st.integers(0, 1000))
 def test_refined_walk_obeys_every_law(problem, seed):
     made(problem, "refined", seed)
@@ -61,9 +62,10 @@ def test_refined_finds_nearly_the_optimum_of_tiny_worlds(problem):
 @pytest.mark.parametrize("family", FAMILIES)
 def test_larger_maps_of_every_family(family):
     score = make_map(family, (40, 30), np.random.default_rng(3))
-    start = tuple(int(x) for x in np.argwhere(~np.isnan(score))[200])
+    start, end = (tuple(int(x) for x in np.argwhere(~np.isnan(score))[k]) for k in (200, 500))
     made(Problem(score, start, Budget(120.0)), "refined")
-    made(Problem(score, start, Budget(121.0), return_home=True), "refined")
+    made(Problem(score, start, Budget(121.0), end=start), "refined")
+    made(Problem(score, start, Budget(120.0), end=end), "refined")
     made(Problem(score, start, Budget(90.5, 2**0.5), connectivity=8), "refined")
 
 
@@ -96,3 +98,25 @@ def test_the_robot_walks_around_a_wall_it_cannot_see_through():
     score[0, 5:] = 10.0
     found = plan(Problem(score, (0, 3), Budget(22.0)), "refined")
     assert found.score == pytest.approx(40.0)
+
+
+def test_an_end_out_of_reach_is_refused_and_one_in_reach_is_reached_with_the_budget_spent():
+    score = np.ones((1, 20))
+    with pytest.raises(ArgumentError, match="end cell 0,19 cannot be reached"):
+        plan(Problem(score, (0, 0), Budget(18.0), end=(0, 19)))
+    found = plan(Problem(score, (0, 0), Budget(21.0), end=(0, 19)))
+    assert tuple(found.cells[-1]) == (0, 19)
+    assert len(found.cells) == 22
+    # One move is left over where the parity of the budget does not fit.
+    assert len(plan(Problem(score, (0, 0), Budget(20.0), end=(0, 19))).cells) == 20
+
+
+def test_a_far_rich_spot_is_found_that_no_step_and_no_rectangle_from_the_start_points_to():
+    rows, cols = np.indices((60, 60))
+    score = np.zeros((60, 60))
+    for row, col in ((8, 50), (50, 52), (52, 8)):
+        score += np.exp(-((rows - row) ** 2 + (cols - col) ** 2) / 18.0)
+    found = plan(Problem(score, (4, 4), Budget(250.0)))
+    assert found.gap < 0.05
+    corners = [score[:30, 30:], score[30:, 30:], score[30:, :30]]
+    assert found.score > 0.75 * sum(corner.sum() for corner in corners)

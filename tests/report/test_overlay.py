@@ -75,7 +75,7 @@ def test_no_go_ground_looks_different(scoremap: Path, tmp_path: Path) -> None:
 
 def test_a_figure_is_cached_and_signed(scoremap: Path, tmp_path: Path) -> None:
     plan, figure = tmp_path / "p.json", tmp_path / "p.png"
-    plan_file(scoremap, plan, PlanRequest(parse_start("cell:5,5"), parse_budget("30"), effort=0.1))
+    plan_file(scoremap, plan, PlanRequest((parse_start("cell:5,5"),), parse_budget("30"), effort=0.1))
     assert not draw_plan(plan, scoremap, figure, backdrop=None, existing=REFUSE)
     before = figure.read_bytes()
     assert draw_plan(plan, scoremap, figure, backdrop=None, existing=REFUSE)

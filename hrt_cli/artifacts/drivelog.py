@@ -1,0 +1,160 @@
+"""The drive log artifact (`drive.jsonl`): where a robot was and when, and what happened on the way.
+
+One JSON object a line. The first is a header, `{"format": "hrt-drive-log", "version": 1, "crs": ...}`, where `crs` is
+an authority code or WKT; every other one a record with `t` (seconds, never falling) and a place: `lon, lat` (WGS 84
+degrees), or `x, y` in the header's CRS. Speeds (`speed_m_s` as achieved, `commanded_m_s`) and an `event` may stand
+beside them. A CSV with columns of these names is read as well.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field, ValidationError, model_validator
+
+from hrt_cli.artifacts.jsonio import Document, describe, parse_strict, read_text
+from hrt_cli.errors import InputError
+
+MAX_BYTES = 256 * 1024 * 1024
+
+M = TypeVar("M", bound=Document)
+
+Event = Literal["stuck", "collision", "intervention"]
+
+
+class Header(Document):
+    """The first line of a log."""
+
+    format: Literal["hrt-drive-log"]
+    version: Literal[1] = 1
+    crs: str | None = None
+
+
+class Record(Document):
+    """One moment of a drive."""
+
+    t: float = Field(allow_inf_nan=False)
+    x: float | None = Field(default=None, allow_inf_nan=False)
+    y: float | None = Field(default=None, allow_inf_nan=False)
+    lon: float | None = Field(default=None, ge=-180, le=180)
+    lat: float | None = Field(default=None, ge=-90, le=90)
+    speed_m_s: float | None = Field(default=None, ge=0, allow_inf_nan=False)
+    commanded_m_s: float | None = Field(default=None, ge=0, allow_inf_nan=False)
+    event: Event | None = None
+
+    @model_validator(mode="after")
+    def _placed(self) -> Record:
+        plane = (self.x is not None) + (self.y is not None)
+        globe = (self.lon is not None) + (self.lat is not None)
+        if (plane, globe) not in ((2, 0), (0, 2)):
+            raise ValueError("a record needs either x and y, or lon and lat")
+        return self
+
+
+@dataclass(frozen=True)
+class DriveLog:
+    """A drive.
+
+    Attributes
+    ----------
+    time_s : ndarray, float64 [n]
+        Seconds, never falling.
+    place : ndarray, float64 [n, 2]
+        lon, lat in degrees where `geographic`, else x, y in `crs`.
+    geographic : bool
+        Which of the two.
+    crs : str or None
+        CRS of x, y; None where the log does not say.
+    events : tuple of (int, str)
+        Index of the record, and what happened there.
+    """
+
+    time_s: NDArray[np.float64]
+    place: NDArray[np.float64]
+    geographic: bool
+    crs: str | None
+    events: tuple[tuple[int, str], ...]
+
+
+def read_drive_log(path: Path) -> DriveLog:
+    """Read a drive log, `.jsonl` or `.csv`.
+
+    Raises
+    ------
+    InputError
+        The file is no log, its last line is cut, time goes backwards, or a record has no place.
+    """
+    text = read_text(path, MAX_BYTES)
+    if not text.strip():
+        raise InputError(path, "is empty")
+    if not text.endswith("\n"):
+        # A number cut in its digits still reads as a number: the missing end of line is the only sign.
+        raise InputError(path, "ends within a line: the log was cut off", "drop its last line if that is all")
+    header, records = _from_csv(path, text) if path.suffix.lower() == ".csv" else _from_lines(path, text)
+    if not records:
+        raise InputError(path, "has no records")
+    geographic = records[0].lon is not None
+    time = np.array([record.t for record in records])
+    falls = np.flatnonzero(np.diff(time) < 0)
+    if falls.size:
+        at = int(falls[0]) + 1
+        raise InputError(path, f"time goes backwards at record {at + 1} ({time[at - 1]:g} s, then {time[at]:g} s)")
+    if any((record.lon is not None) != geographic for record in records):
+        raise InputError(path, "mixes places in lon, lat with places in x, y")
+    place = [(r.lon, r.lat) if geographic else (r.x, r.y) for r in records]
+    events = tuple((index, record.event) for index, record in enumerate(records) if record.event is not None)
+    return DriveLog(time, np.array(place, np.float64), geographic, header.crs, events)
+
+
+def _from_lines(path: Path, text: str) -> tuple[Header, list[Record]]:
+    lines = text.splitlines()
+    return _model(path, 1, Header, parse_strict(path, lines[0])), [
+        _model(path, number, Record, parse_strict(path, line))
+        for number, line in enumerate(lines[1:], start=2)
+        if line.strip()
+    ]
+
+
+def _from_csv(path: Path, text: str) -> tuple[Header, list[Record]]:
+    reader = csv.DictReader(io.StringIO(text))
+    known = set(Record.model_fields)
+    names = [name.strip() for name in reader.fieldnames or []]
+    if "t" not in names:
+        raise InputError(path, f"has no column t (it has: {', '.join(names) or 'none'})")
+    if len(set(names)) != len(names):
+        raise InputError(path, "names a column twice")
+    records = []
+    for row in reader:
+        number = reader.line_num
+        values = {name.strip(): text for name, text in row.items() if name is not None and text}
+        if None in row:
+            raise InputError(path, f"line {number} has more fields than the first line names")
+        record: dict[str, float | str] = {}
+        for name in known & set(values):
+            record[name] = values[name] if name == "event" else _number(path, number, name, values[name])
+        records.append(_model(path, number, Record, record))
+    return Header(format="hrt-drive-log"), records
+
+
+def _number(path: Path, line: int, name: str, text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        raise InputError(path, f"line {line}: {name} is {text.strip()!r}, not a finite number")
+    return value
+
+
+def _model(path: Path, line: int, model: type[M], value: object) -> M:
+    try:
+        return model.model_validate(value)
+    except ValidationError as error:
+        raise InputError(path, f"line {line}: {describe(error)}") from error

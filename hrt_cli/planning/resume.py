@@ -1,0 +1,141 @@
+"""What an earlier drive leaves for the next plan: cells that paid, budget spent, its place, where it got stuck."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from rasterio.crs import CRS
+from rasterio.errors import CRSError
+
+from hrt_cli.artifacts.drivelog import DriveLog, read_drive_log
+from hrt_cli.errors import InputError
+from hrt_cli.raster.grid import Grid, transform_points
+from hrt_cli.raster.scoremap import Scoremap
+
+_SAMPLES_PER_CELL = 20
+_MOST_SAMPLES = 50_000_000
+
+
+@dataclass(frozen=True)
+class Driven:
+    """An earlier drive, on the cells of a scoremap.
+
+    Attributes
+    ----------
+    cells : ndarray, int64 [n, 2]
+        Row and column of every cell that the track goes through on the map, in order, neighbours or not.
+    stands : (int, int)
+        The cell where the robot stands.
+    blocked : list of (int, int)
+        The cells where it got stuck; where it still stands in one, the next one on its way.
+    length_m, time_s : float
+        What the drive took.
+    path : ndarray, int64 [k, 2]
+        The same cells with those off the map, none twice in a row.
+    """
+
+    cells: NDArray[np.int64]
+    stands: tuple[int, int]
+    blocked: list[tuple[int, int]]
+    length_m: float
+    time_s: float
+    path: NDArray[np.int64]
+
+    def spent(self, unit: Literal["steps", "m", "min"], connectivity: int) -> float:
+        """Return what the drive took of a budget in `unit`; steps between 4- or 8-neighbours."""
+        if unit == "m":
+            return self.length_m
+        if unit == "min":
+            return self.time_s / 60.0
+        jumps = np.abs(np.diff(self.path, axis=0))
+        return float(jumps.max(axis=1, initial=0).sum() if connectivity == 8 else jumps.sum())
+
+
+def read_driven(path: Path, scoremap: Scoremap) -> Driven:
+    """Read a drive log and lay it on the cells of a scoremap.
+
+    Raises
+    ------
+    InputError
+        The log cannot be read, its places cannot be laid on the map, it lies off the map, or it ends on a cell that
+        cannot be entered.
+    """
+    log = read_drive_log(path)
+    grid = scoremap.grid
+    rows, cols = _on_grid(path, log, grid)
+    inside = (rows >= 0) & (rows < grid.rows) & (cols >= 0) & (cols < grid.cols)
+    if not inside.any():
+        raise InputError(path, f"lies wholly off the scoremap of {grid.rows} x {grid.cols} cells")
+    stands = (int(np.floor(rows[-1])), int(np.floor(cols[-1])))
+    if not inside[-1]:
+        raise InputError(path, f"ends off the scoremap, at row {stands[0]}, column {stands[1]}")
+    if np.isnan(scoremap.score[stands]):
+        raise InputError(path, f"ends in cell {stands[0]},{stands[1]}, which is no-go", "give the start with --start")
+    cells = _cells(path, rows, cols)
+    on_map = ((cells >= 0) & (cells < np.array(grid.shape))).all(axis=1)
+    if grid.crs is None:
+        length_m = float(np.hypot(np.diff(rows), np.diff(cols)).sum() * scoremap.cell_size_m)
+    else:
+        length_m = float(grid.ground_length_m(rows, cols).sum()) if rows.size > 1 else 0.0
+    blocked = [_stuck_cell(rows, cols, index, stands) for index, event in log.events if event == "stuck"]
+    kept = [c for c in dict.fromkeys(blocked) if c != stands and 0 <= c[0] < grid.rows and 0 <= c[1] < grid.cols]
+    time_s = float(log.time_s[-1] - log.time_s[0])
+    return Driven(cells[on_map], stands, kept, length_m, time_s, cells)
+
+
+def _on_grid(path: Path, log: DriveLog, grid: Grid) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return fractional rows and columns of the places of a log."""
+    x, y = log.place[:, 0], log.place[:, 1]
+    if log.geographic or log.crs is not None:
+        if grid.crs is None:
+            raise InputError(path, "has geographic places, and the scoremap no georeference")
+        try:
+            source = CRS.from_epsg(4326) if log.geographic else CRS.from_user_input(log.crs)
+            x, y = transform_points(source, grid.crs, x, y)
+        except (CRSError, ValueError) as error:
+            raise InputError(path, f"cannot be laid on the scoremap: {error}") from error
+    inverse = ~grid.transform
+    cols, rows = inverse.a * x + inverse.b * y + inverse.c, inverse.d * x + inverse.e * y + inverse.f
+    if not (np.isfinite(rows).all() and np.isfinite(cols).all()):
+        raise InputError(path, "has places that are nowhere in the scoremap's coordinate reference system")
+    return rows, cols
+
+
+def _cells(path: Path, rows: NDArray[np.float64], cols: NDArray[np.float64]) -> NDArray[np.int64]:
+    """Return the cells that straight lines between the places go through, int64 [k, 2], none twice in a row."""
+    steps = np.maximum(1, np.ceil(np.hypot(np.diff(rows), np.diff(cols)) * _SAMPLES_PER_CELL)).astype(np.int64)
+    if steps.sum() > _MOST_SAMPLES:
+        raise InputError(path, f"is longer than {_MOST_SAMPLES // _SAMPLES_PER_CELL} cells of the scoremap")
+    at = np.repeat(np.arange(steps.size), steps)
+    part = (np.arange(at.size) - np.repeat(np.cumsum(steps) - steps, steps)) / np.repeat(steps, steps)
+    row = np.append(rows[at] + part * np.diff(rows)[at], rows[-1])
+    col = np.append(cols[at] + part * np.diff(cols)[at], cols[-1])
+    cells = np.floor(np.stack([row, col], axis=1)).astype(np.int64)
+    changed = np.append(True, (np.diff(cells, axis=0) != 0).any(axis=1))
+    return np.asarray(cells[changed])
+
+
+def _stuck_cell(
+    rows: NDArray[np.float64], cols: NDArray[np.float64], index: int, stands: tuple[int, int]
+) -> tuple[int, int]:
+    """Return the cell of a record, or where the robot still stands in it the next one in its direction of travel."""
+    cell = (int(np.floor(rows[index])), int(np.floor(cols[index])))
+    if cell != stands:
+        return cell
+    for before in range(index - 1, -1, -1):
+        step = np.array([rows[index] - rows[before], cols[index] - cols[before]])
+        length = float(np.hypot(*step))
+        if length >= 0.5:
+            heading = step / length
+            for reach in np.arange(0.1, 1.6, 0.1):
+                ahead = (
+                    int(np.floor(rows[index] + reach * heading[0])),
+                    int(np.floor(cols[index] + reach * heading[1])),
+                )
+                if ahead != cell:
+                    return ahead
+    return cell
