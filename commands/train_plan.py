@@ -31,10 +31,10 @@ Example:
 )
 @click.option(
     "--features",
-    type=click.Choice(["rings", "manjanna24"]),
-    default="rings",
+    type=click.Choice(["network", "rings", "manjanna24"]),
+    default="network",
     show_default=True,
-    help="Multi-resolution features: ours, or the 24 of Manjanna and Dudek.",
+    help="Multi-resolution features: ours with hinge units, our plain ones, or the 24 of Manjanna and Dudek.",
 )
 @click.option(
     "--iterations", type=click.IntRange(1, 1_000_000), default=300, show_default=True, help="Steps of the optimiser."

@@ -48,7 +48,7 @@ def gaussians(shape: tuple[int, int], rng: np.random.Generator) -> Scores:
 def noise(shape: tuple[int, int], rng: np.random.Generator) -> Scores:
     """Return a smoothed white-noise field with a random correlation length."""
     radius = int(rng.integers(1, max(2, min(shape) // 8)))
-    return np.asarray(_stretch(_box_blur(rng.random(shape), radius)) ** rng.uniform(1.0, 3.0))
+    return np.asarray(_stretch(_box_blur(rng.random(shape), radius)) ** rng.uniform(1.0, 6.0))
 
 
 def classes(shape: tuple[int, int], rng: np.random.Generator) -> Scores:
@@ -81,12 +81,41 @@ def speckle(shape: tuple[int, int], rng: np.random.Generator) -> Scores:
     return np.asarray(np.where(rng.random(shape) < rng.uniform(0.02, 0.2), rng.random(shape), score))
 
 
+def islands(shape: tuple[int, int], rng: np.random.Generator) -> Scores:
+    """Return a few rich patches of uneven score, the rest worth nothing or next to it: most starts see none."""
+    radius = int(rng.integers(2, max(3, min(shape) // 8)))
+    field = _box_blur(rng.random(shape), radius)
+    shore = np.quantile(field, rng.uniform(0.8, 0.97))
+    height = _stretch(np.maximum(field - shore, 0.0)) ** rng.uniform(0.2, 1.5)
+    ground = rng.uniform(0.0, 0.05) * noise(shape, rng) if rng.random() < 0.5 else 0.0
+    return np.asarray(np.clip(height * (0.5 + 0.5 * noise(shape, rng)) + ground, 0.0, 1.0))
+
+
+def trails(shape: tuple[int, int], rng: np.random.Generator) -> Scores:
+    """Return the smoothed trails of a few wanderers that turn a little at each step, on bare ground."""
+    total = np.zeros(shape)
+    side = min(shape)
+    for _ in range(int(rng.integers(1, 5))):
+        length = int(side * rng.uniform(0.5, 3.0))
+        heading = rng.uniform(0, 2 * np.pi) + np.cumsum(rng.normal(0.0, rng.uniform(0.05, 0.4), length))
+        rows = rng.uniform(0, shape[0]) + np.cumsum(np.sin(heading))
+        cols = rng.uniform(0, shape[1]) + np.cumsum(np.cos(heading))
+        np.maximum.at(
+            total,
+            (rows.astype(np.int64) % shape[0], cols.astype(np.int64) % shape[1]),
+            np.linspace(1.0, rng.uniform(0.1, 1.0), length),
+        )
+    return _stretch(_box_blur(total, int(rng.integers(0, 3))))
+
+
 _MAKERS: dict[str, Callable[[tuple[int, int], np.random.Generator], Scores]] = {
     "gaussians": gaussians,
     "noise": noise,
     "classes": classes,
     "obstacles": obstacles,
     "speckle": speckle,
+    "islands": islands,
+    "trails": trails,
 }
 
 FAMILIES = tuple(_MAKERS)

@@ -21,13 +21,32 @@ RING = 8
 TIED = 5
 """Headings a weight tells apart: ahead, ahead to a side, abeam, behind to a side, behind."""
 
-LAYOUTS = ("rings", "manjanna24")
+LAYOUTS = ("network", "rings", "manjanna24")
 
-BLOCK_SIZES = {"rings": (1, 3, 9), "manjanna24": (1, 3)}
+BLOCK_SIZES = {"network": (1, 3, 9), "rings": (1, 3, 9), "manjanna24": (1, 3)}
 """Side in cells of the blocks whose sums are kept, by layout; each ring lies one block away from the robot."""
 
-WIDEST = {"rings": 27, "manjanna24": 3}
+WIDEST = {"network": 27, "rings": 27, "manjanna24": 3}
 """Side of the blocks of the widest ring; those of 27 are read as nine sums of 9, never kept."""
+
+LEVELS = {"network": 18, "rings": 8, "manjanna24": 3}
+"""Rings of features by layout."""
+
+NEAR = ((0, 2), (1, 1), (2, 4))
+"""Rings of 'network' between those that do not overlap: the level of their blocks, and how far away they lie."""
+
+CONSTANTS = 2
+"""Features of 'network' that are the same for every move: the share of the budget left, and 1."""
+
+FAINTEST = 1e-3
+"""Mean score, in units of the scale, that is added before a logarithm is taken: fainter blocks look alike."""
+
+LOG_UNIT = 1.0 / float(np.log(1.0 / FAINTEST))
+"""Factor of the logarithms: they run from 0 where nothing is left to about 1 at the scale."""
+
+HINGES = {"network": 16, "rings": 0, "manjanna24": 0}
+"""Hinge functions of the features that are added up beside a linear one, by layout; the second half counts
+negative."""
 
 FAR_EDGE = 4
 """Layout 'manjanna24': the third ring is the eight regions beyond the 9 x 9 square around the robot."""
@@ -54,6 +73,10 @@ class Blocks(NamedTuple):
         Summed-area tables of scaled score and of free cells; empty where no region reaches the map's edge.
     scale : float
         Score that counts as 1: the mean of the best cells the budget could pay for.
+    levels : int
+        Rings of features.
+    constants : int
+        Features behind those of the rings that are the same for every move.
     """
 
     sums: NDArray[np.float32]
@@ -65,11 +88,18 @@ class Blocks(NamedTuple):
     pad: int
     far: NDArray[np.float64]
     scale: float
+    levels: int
+    constants: int
 
 
 def feature_count(layout: str) -> int:
-    """Return the number of weights of a layout."""
-    return 8 * TIED if layout == "rings" else 3 * TIED
+    """Return the number of features of a layout."""
+    return LEVELS[layout] * TIED + (CONSTANTS if layout == "network" else 0)
+
+
+def weight_count(layout: str) -> int:
+    """Return the number of weights of a layout: one per feature for the linear part and for each hinge."""
+    return feature_count(layout) * (1 + HINGES[layout])
 
 
 def build_blocks(field: Field, layout: str) -> Blocks:
@@ -97,6 +127,8 @@ def build_blocks(field: Field, layout: str) -> Blocks:
         pad=pad,
         far=np.stack([worth, open_cells]) if regions else np.zeros((2, 0, 0)),
         scale=scale,
+        levels=LEVELS[layout],
+        constants=CONSTANTS if layout == "network" else 0,
     )
 
 
@@ -255,11 +287,75 @@ def _read_regions(
 
 
 @lean_kernel
-def tie_rings(rings: NDArray[np.float64], move: int, heading: int, phi: NDArray[np.float64]) -> None:
+def tie_rings(rings: NDArray[np.float64], move: int, heading: int, phi: NDArray[np.float32]) -> None:
     """Fill row `move` of `phi` with the rings as seen along `heading` (0..7): the two sides are added up."""
-    for level in range(phi.shape[1] // TIED):
+    for level in range(rings.shape[0] - 1):
         base = level * TIED
         phi[move, base] = rings[level, heading]
         for turn in range(1, TIED - 1):
             phi[move, base + turn] = rings[level, (heading + turn) & 7] + rings[level, (heading - turn) & 7]
         phi[move, base + TIED - 1] = rings[level, (heading + 4) & 7]
+
+
+@lean_kernel
+def read_more(
+    field: Field,
+    blocks: Blocks,
+    sums: NDArray[np.float32],
+    at: int,
+    cell: int,
+    last: NDArray[np.int64],
+    came: int,
+    rings: NDArray[np.float64],
+) -> None:
+    """Fill the rings that only 'network' has, behind those of `read_rings`.
+
+    The logarithm of the mean scores, in which faint blocks differ as rich ones do; which of the eight cells
+    around were visited; the heading of the last move, `came` (-1 at the start); the mean scores of the rings of
+    `NEAR`; and, where all the blocks around are as good as empty, the pull of what lies beyond. `at` is the index
+    of `cell` in the block arrays.
+    """
+    kept = blocks.sizes.size + 1
+    for level in range(kept):
+        for k in range(RING):
+            rings[2 * kept + level, k] = np.log(max(rings[level, k], 0.0) + FAINTEST) * LOG_UNIT + 1.0
+    width = field.width
+    around = (1, width + 1, width, width - 1, -1, -width - 1, -width, 1 - width)
+    for k in range(RING):
+        rings[3 * kept, k] = 1.0 if last[cell + around[k]] >= 0 else 0.0
+        rings[3 * kept + 1, k] = 1.0 if k == came else 0.0
+    for i in range(len(NEAR)):
+        level, away = NEAR[i]
+        share = 1.0 / (blocks.sizes[level] * blocks.sizes[level])
+        for k in range(RING):
+            rings[3 * kept + 2 + i, k] = sums[level, at + away * blocks.rings[0, k]] * share
+    seen = 0.0
+    for k in range(RING):
+        rings[3 * kept + 2 + len(NEAR), k] = 0.0
+        seen += rings[kept - 1, k]
+    if seen < FAINTEST:
+        _read_beyond(blocks, sums, at, rings, 3 * kept + 2 + len(NEAR))
+
+
+@lean_kernel
+def _read_beyond(blocks: Blocks, sums: NDArray[np.float32], at: int, rings: NDArray[np.float64], ring: int) -> None:
+    """Fill row `ring`, all zeros, with each direction's share of the pull of the whole map.
+
+    The map is read in the largest blocks that are kept; each pulls with its score over its squared distance.
+    """
+    level = blocks.sizes.size - 1
+    size = blocks.sizes[level]
+    row, col = at // blocks.width, at % blocks.width
+    total = 0.0
+    for r in range(row % size, blocks.sums.shape[1] // blocks.width, size):
+        for c in range(col % size, blocks.width, size):
+            score = sums[level, r * blocks.width + c]
+            down, right = r - row, c - col
+            if score > FAINTEST and (down != 0 or right != 0):
+                k = _sector(down if 2 * abs(down) > abs(right) else 0, right if 2 * abs(right) > abs(down) else 0)
+                pull = score / (down * down + right * right)
+                rings[ring, k] += pull
+                total += pull
+    if total > 0.0:
+        for k in range(RING):
+            rings[ring, k] /= total

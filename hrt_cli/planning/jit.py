@@ -18,3 +18,6 @@ lean_kernel: Any = njit(**_LEAN)
 Numba counts references to every array a call passes on, with atomic instructions; in helpers of a few
 nanoseconds that is most of the time.
 """
+
+lean_sums: Any = njit(**_LEAN, fastmath={"reassoc"})
+"""The same for helpers that add up long rows of float32, which may be added in another order, eight at a time."""

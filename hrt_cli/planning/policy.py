@@ -1,4 +1,8 @@
-"""The stochastic policy: a softmax over moves, linear in the tied multi-resolution features."""
+"""The stochastic policy: a softmax over moves, from the tied multi-resolution features.
+
+The preference of a move is linear in its features, in layout 'network' plus hinge functions of them:
+w·phi + sum_h s_h max(0, u_h·phi), s_h = 1 for the first half of the hinges and -1 for the second.
+"""
 
 from __future__ import annotations
 
@@ -16,19 +20,23 @@ from hrt_cli.planning.features import (
     RING,
     TIED,
     Blocks,
-    feature_count,
     padded_index,
     put_back,
+    read_more,
     read_rings,
     take_out,
     tie_rings,
+    weight_count,
 )
-from hrt_cli.planning.jit import kernel, lean_kernel
+from hrt_cli.planning.jit import kernel, lean_kernel, lean_sums
 from hrt_cli.planning.walk import Field, capacity, may_step, next_uniform
 
 DEFAULT_POLICY_FILE = "default_policy.npz"
 
 RecipeValue = str | int | float
+LANES = 32
+"""Features are padded to whole multiples of this many, which the processor adds up at once."""
+
 SEED_STRIDE = np.uint64(0xD1342543DE82EF95)
 """Odd constant that spreads consecutive rollout numbers over the generator's states."""
 
@@ -39,8 +47,8 @@ class Policy:
 
     Attributes
     ----------
-    weights : ndarray, float64 [features]
-        One weight per tied feature of the layout.
+    weights : ndarray, float64 [(1 + hinges) * features]
+        One weight per tied feature of the layout for the linear part, then for each hinge.
     layout : str
         One of `features.LAYOUTS`.
     recipe : dict
@@ -48,13 +56,13 @@ class Policy:
     """
 
     weights: NDArray[np.float64]
-    layout: str = "rings"
+    layout: str = "network"
     recipe: dict[str, RecipeValue] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         if self.layout not in LAYOUTS:
             raise ValueError(f"unknown feature layout {self.layout!r} (known: {', '.join(LAYOUTS)})")
-        expected = (feature_count(self.layout),)
+        expected = (weight_count(self.layout),)
         if self.weights.shape != expected or self.weights.dtype != np.float64:
             raise ValueError(
                 f"the weights of layout {self.layout!r} must be float64 {expected}, "
@@ -126,41 +134,63 @@ def _default_policy_bytes() -> bytes:
     return resources.files("hrt_cli.planning").joinpath(DEFAULT_POLICY_FILE).read_bytes()
 
 
+@lean_sums
+def weigh(phi: NDArray[np.float32], net: NDArray[np.float32], parts: NDArray[np.float32]) -> None:
+    """Fill `parts` [moves, 1 + hinges] with `phi` [moves, lanes] times `net` [1 + hinges, lanes]."""
+    for a in range(phi.shape[0]):
+        for h in range(net.shape[0]):
+            total = np.float32(0.0)
+            for i in range(phi.shape[1]):
+                total += phi[a, i] * net[h, i]
+            parts[a, h] = total
+
+
+@lean_kernel
+def add_hinges(parts: NDArray[np.float32], logits: NDArray[np.float64]) -> None:
+    """Fill `logits` [moves] with the linear part plus the positive parts of the hinges, half of them negated.
+
+    Leaves in `parts` how each logit changes with each part: 1, 0 or -1.
+    """
+    half = parts.shape[1] // 2
+    for a in range(parts.shape[0]):
+        logit = parts[a, 0]
+        parts[a, 0] = 1.0
+        for h in range(1, parts.shape[1]):
+            sign = np.float32(1.0 if h <= half else -1.0)
+            slope = sign if parts[a, h] > 0.0 else np.float32(0.0)
+            logit += slope * parts[a, h]
+            parts[a, h] = slope
+        logits[a] = logit
+
+
 @lean_kernel
 def choose(
-    phi: NDArray[np.float64],
+    logits: NDArray[np.float64],
     allowed: NDArray[np.bool_],
-    weights: NDArray[np.float64],
     sample: bool,
     state: NDArray[np.uint64],
     share: NDArray[np.float64],
 ) -> int:
-    """Return the move taken from features `phi` [moves, features], -1 when none is allowed.
+    """Return the move taken, -1 when none is allowed.
 
     Fills `share` with the softmax over the allowed moves; takes the likeliest unless `sample`.
     """
     best, best_logit = -1, -np.inf
-    for a in range(phi.shape[0]):
-        share[a] = 0.0
-        if allowed[a]:
-            logit = 0.0
-            for i in range(weights.size):
-                logit += phi[a, i] * weights[i]
-            share[a] = logit
-            if logit > best_logit:
-                best, best_logit = a, logit
+    for a in range(logits.size):
+        if allowed[a] and logits[a] > best_logit:
+            best, best_logit = a, logits[a]
     if best < 0:
         return -1
     total = 0.0
-    for a in range(phi.shape[0]):
-        share[a] = np.exp(share[a] - best_logit) if allowed[a] else 0.0
+    for a in range(logits.size):
+        share[a] = np.exp(logits[a] - best_logit) if allowed[a] else 0.0
         total += share[a]
-    for a in range(phi.shape[0]):
+    for a in range(logits.size):
         share[a] /= total
     if not sample:
         return best
     threshold = next_uniform(state)
-    for a in range(phi.shape[0]):
+    for a in range(logits.size):
         threshold -= share[a]
         if allowed[a] and threshold < 0.0:
             return a
@@ -169,14 +199,36 @@ def choose(
 
 @lean_kernel
 def log_gradient(
-    phi: NDArray[np.float64], share: NDArray[np.float64], taken: int, scores: NDArray[np.float64], row: int
+    phi: NDArray[np.float32],
+    slopes: NDArray[np.float32],
+    share: NDArray[np.float64],
+    taken: int,
+    scores: NDArray[np.float32],
+    row: int,
 ) -> None:
-    """Write into `scores[row]` the gradient of log pi: the features of the move taken less their mean."""
-    for i in range(phi.shape[1]):
-        scores[row, i] = phi[taken, i]
-    for a in range(phi.shape[0]):
-        for i in range(phi.shape[1]):
-            scores[row, i] -= share[a] * phi[a, i]
+    """Write into `scores[row]` [1 + hinges, features] the gradient of log pi by the weights.
+
+    It is that of the logit of the move taken less the mean over the moves; `slopes` is what `add_hinges` left.
+    """
+    for h in range(slopes.shape[1]):
+        for i in range(scores.shape[2]):
+            scores[row, h, i] = 0.0
+        for a in range(phi.shape[0]):
+            pull = slopes[a, h] * np.float32((1.0 if a == taken else 0.0) - share[a])
+            if pull != 0.0:
+                for i in range(scores.shape[2]):
+                    scores[row, h, i] += pull * phi[a, i]
+
+
+@kernel
+def shape_net(weights: NDArray[np.float64], blocks: Blocks) -> NDArray[np.float32]:
+    """Return the weights of a policy as float32 [1 + hinges, lanes]: zeros fill the rows up to whole `LANES`."""
+    features = blocks.levels * TIED + blocks.constants
+    net = np.zeros((weights.size // features, (features + LANES - 1) // LANES * LANES), np.float32)
+    for h in range(net.shape[0]):
+        for i in range(features):
+            net[h, i] = weights[h * features + i]
+    return net
 
 
 @kernel
@@ -184,45 +236,57 @@ def roll(
     field: Field,
     blocks: Blocks,
     sums: NDArray[np.float32],
-    weights: NDArray[np.float64],
+    net: NDArray[np.float32],
     sample: bool,
     state: NDArray[np.uint64],
     path: NDArray[np.int64],
     fresh: NDArray[np.float64],
-    scores: NDArray[np.float64],
+    scores: NDArray[np.float32],
 ) -> int:
     """Walk once under the policy until the budget is spent; return the number of cells.
 
     Unless `sample`, the likeliest move is taken, but drawn at a cell that was left before since the last score:
     there nothing has changed, and the likeliest moves would run in circles for good.
 
-    Fills `path` and `fresh` (scaled score collected at each cell). Where `scores` [moves, features] is not
+    Fills `path` and `fresh` (scaled score collected at each cell). Where `scores` [moves, 1 + hinges, features] is not
     empty it receives the gradient of log pi at each move. `sums` is restored before returning.
     """
     moves = field.offsets.size
-    rings = np.zeros((weights.size // TIED + 1, RING))
-    phi = np.zeros((moves, weights.size))
+    features = blocks.levels * TIED + blocks.constants
+    rings = np.zeros((blocks.levels + 1, RING))
+    phi = np.zeros((moves, net.shape[1]), np.float32)
+    parts = np.zeros((moves, net.shape[0]), np.float32)
+    logits = np.zeros(moves)
     share = np.zeros(moves)
     allowed = np.zeros(moves, np.bool_)
     last = np.full(field.free.size, -1)
-    cell, left, n, paid = field.start, field.limit, 1, 0
+    cell, left, n, paid, came = field.start, field.limit, 1, 0, -1
     path[0] = cell
     fresh[0] = field.value[cell] / blocks.scale
     take_out(blocks, sums, padded_index(blocks, field.width, cell), fresh[0])
     while n < path.size:
-        read_rings(blocks, sums, padded_index(blocks, field.width, cell), field.width, path, n, fresh, rings)
+        at = padded_index(blocks, field.width, cell)
+        read_rings(blocks, sums, at, field.width, path, n, fresh, rings)
+        circling = last[cell] >= paid
+        last[cell] = n
+        if blocks.constants > 0:
+            read_more(field, blocks, sums, at, cell, last, came, rings)
         for a in range(moves):
             allowed[a] = may_step(field, cell, a, left)
             tie_rings(rings, a, a * (RING // moves), phi)
-        circling = last[cell] >= paid
-        last[cell] = n
-        a = choose(phi, allowed, weights, sample or circling, state, share)
+            if blocks.constants > 0:
+                phi[a, features - 2] = left / field.limit
+                phi[a, features - 1] = 1.0
+        weigh(phi, net, parts)
+        add_hinges(parts, logits)
+        a = choose(logits, allowed, sample or circling, state, share)
         if a < 0:
             break
         if scores.size > 0:
-            log_gradient(phi, share, a, scores, n - 1)
+            log_gradient(phi, parts, share, a, scores, n - 1)
         cell += field.offsets[a]
         left -= field.costs[a]
+        came = a * (RING // moves)
         path[n] = cell
         fresh[n] = 0.0
         if last[cell] < 0:
@@ -245,12 +309,13 @@ def roll_many(
     paths = np.zeros((count, cells), np.int64)
     lengths = np.zeros(count, np.int64)
     fresh = np.zeros(cells)
-    nothing = np.zeros((0, 0))
+    nothing = np.zeros((0, 0, 0), np.float32)
+    net = shape_net(weights, blocks)
     sums = blocks.sums.copy()
     state = np.zeros(1, np.uint64)
     for i in range(count):
         state[0] = np.uint64(seed) + np.uint64(i + 1) * SEED_STRIDE
-        lengths[i] = roll(field, blocks, sums, weights, True, state, paths[i], fresh, nothing)
+        lengths[i] = roll(field, blocks, sums, net, True, state, paths[i], fresh, nothing)
     return paths, lengths
 
 
@@ -260,5 +325,6 @@ def roll_best(field: Field, blocks: Blocks, weights: NDArray[np.float64], seed: 
     path = np.zeros(capacity(field), np.int64)
     fresh = np.zeros(path.size)
     state = np.full(1, np.uint64(seed), np.uint64)
-    n = roll(field, blocks, blocks.sums.copy(), weights, False, state, path, fresh, np.zeros((0, 0)))
+    nothing = np.zeros((0, 0, 0), np.float32)
+    n = roll(field, blocks, blocks.sums.copy(), shape_net(weights, blocks), False, state, path, fresh, nothing)
     return path, n

@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 
 from hrt_cli.errors import ArgumentError
 from hrt_cli.planning.families import FAMILIES, make_map
-from hrt_cli.planning.features import LAYOUTS, Blocks, build_blocks, feature_count
+from hrt_cli.planning.features import LAYOUTS, TIED, Blocks, build_blocks, feature_count, weight_count
 from hrt_cli.planning.jit import kernel
-from hrt_cli.planning.policy import SEED_STRIDE, Policy, roll
+from hrt_cli.planning.policy import SEED_STRIDE, Policy, roll, shape_net
 from hrt_cli.planning.problem import NEIGHBOURS_8, Budget, Problem
 from hrt_cli.planning.walk import Field, build_field, capacity
 from hrt_cli.progress import Progress, silent
@@ -24,6 +24,9 @@ ESTIMATORS = ("gpomdp", "reinforce")
 ADAM_DECAY = (0.9, 0.99)
 ADAM_EPSILON = 1e-8
 """Constants of Adam (Kingma and Ba 2015); the second decay is short, as a training has few hundred steps."""
+
+FIRST_SPREAD = 0.1
+"""Standard deviation of the weights of the hinges before training."""
 
 THREADS = 2
 """Maps rolled out at the same time; the answer does not depend on it."""
@@ -44,7 +47,7 @@ class TrainSpec:
     maps_per_iteration, rollouts : int
         Maps (each with its own start) per step, and rollouts on each; at least 2 rollouts.
     map_side : int
-        Rows and columns of the generated maps.
+        Rows and columns of the largest generated maps; the smallest have a third as many.
     moves : int
         Budget of a rollout.
     trace_decay : float
@@ -60,14 +63,14 @@ class TrainSpec:
     """
 
     estimator: str = "gpomdp"
-    layout: str = "rings"
+    layout: str = "network"
     iterations: int = 300
     maps_per_iteration: int = 8
     rollouts: int = 16
     map_side: int = 64
     moves: int = 250
     trace_decay: float = 0.98
-    learning_rate: float = 0.25
+    learning_rate: float = 0.1
     eight: float = 0.25
     families: tuple[str, ...] = FAMILIES
     seed: int = 0
@@ -119,7 +122,7 @@ class TrainState:
     @classmethod
     def fresh(cls, spec: TrainSpec) -> TrainState:
         """Return the state before the first step."""
-        weights = np.zeros(feature_count(spec.layout))
+        weights = first_weights(spec.layout, spec.seed)
         return cls(0, weights, np.zeros_like(weights), np.zeros_like(weights), np.zeros(spec.iterations))
 
     def to_arrays(self) -> dict[str, NDArray[np.generic]]:
@@ -155,27 +158,40 @@ class TrainState:
 @kernel
 def explore(
     field: Field, blocks: Blocks, weights: NDArray[np.float64], count: int, seed: int
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+) -> tuple[NDArray[np.float64], NDArray[np.float32]]:
     """Return rewards [count, moves] and gradients of log pi [count, moves, weights] of sampled rollouts.
 
     Rewards are in units of `blocks.scale`; what the start pays is left out, no move earns it.
     """
     moves = capacity(field) - 1
     rewards = np.zeros((count, moves))
-    scores = np.zeros((count, moves, weights.size))
+    net = shape_net(weights, blocks)
+    features = blocks.levels * TIED + blocks.constants
+    scores = np.zeros((count, moves, net.shape[0], features), np.float32)
     path = np.zeros(moves + 1, np.int64)
     fresh = np.zeros(moves + 1)
     sums = blocks.sums.copy()
     state = np.zeros(1, np.uint64)
     for i in range(count):
         state[0] = np.uint64(seed) + np.uint64(i + 1) * SEED_STRIDE
-        n = roll(field, blocks, sums, weights, True, state, path, fresh, scores[i])
+        n = roll(field, blocks, sums, net, True, state, path, fresh, scores[i])
         rewards[i, : n - 1] = fresh[1:n]
-    return rewards, scores
+    return rewards, scores.reshape((count, moves, weights.size))
+
+
+@kernel
+def add_scores(factors: NDArray[np.float64], scores: NDArray[np.float32]) -> NDArray[np.float64]:
+    """Return the sum of `scores` [rollouts, moves, weights], each times its factor [rollouts, moves]."""
+    total = np.zeros(scores.shape[2])
+    for i in range(scores.shape[0]):
+        for t in range(scores.shape[1]):
+            for k in range(scores.shape[2]):
+                total[k] += factors[i, t] * scores[i, t, k]
+    return total
 
 
 def gpomdp_gradient(
-    rewards: NDArray[np.float64], scores: NDArray[np.float64], trace_decay: float = 1.0
+    rewards: NDArray[np.float64], scores: NDArray[np.float32], trace_decay: float = 1.0
 ) -> NDArray[np.float64]:
     """Return the GPOMDP estimate of the gradient of the expected reward.
 
@@ -187,7 +203,7 @@ def gpomdp_gradient(
     ----------
     rewards : ndarray, float64 [rollouts, moves]
         Rewards of rollouts from one start.
-    scores : ndarray, float64 [rollouts, moves, weights]
+    scores : ndarray, float32 [rollouts, moves, weights]
         Gradients of log pi.
     trace_decay : float
         In (0, 1]; below 1 trades bias for variance.
@@ -203,10 +219,10 @@ def gpomdp_gradient(
     for t in range(rewards.shape[1] - 1, -1, -1):
         carried = advantage[:, t] + trace_decay * carried
         to_go[:, t] = carried
-    return np.asarray(np.einsum("it,itk->k", to_go, scores) / count)
+    return np.asarray(add_scores(to_go, scores) / count)
 
 
-def reinforce_gradient(rewards: NDArray[np.float64], scores: NDArray[np.float64]) -> NDArray[np.float64]:
+def reinforce_gradient(rewards: NDArray[np.float64], scores: NDArray[np.float32]) -> NDArray[np.float64]:
     """Return the REINFORCE estimate of the gradient of the expected reward (Williams 1992).
 
     grad = 1/m sum_i (R_i - b_i) sum_t score_it, with b_i the mean return of the other rollouts. Arguments as
@@ -215,7 +231,15 @@ def reinforce_gradient(rewards: NDArray[np.float64], scores: NDArray[np.float64]
     returns = rewards.sum(axis=1)
     count = returns.size
     advantage = returns - (returns.sum() - returns) / (count - 1)
-    return np.asarray(np.einsum("i,itk->k", advantage, scores) / count)
+    return np.asarray(add_scores(np.repeat(advantage[:, None], scores.shape[1], axis=1), scores) / count)
+
+
+def first_weights(layout: str, seed: int) -> NDArray[np.float64]:
+    """Return the weights a training starts from: zeros for the linear part, small random ones for the hinges."""
+    weights = np.zeros(weight_count(layout))
+    hinges = weights[feature_count(layout) :]
+    hinges[:] = np.random.default_rng(seed).normal(0.0, FIRST_SPREAD, hinges.size)
+    return weights
 
 
 def forget(state: TrainState) -> None:
@@ -302,7 +326,8 @@ def _try_map(
     rng = np.random.default_rng(seed)
     if maps is None:
         family = spec.families[int(rng.integers(len(spec.families)))]
-        score = make_map(family, (spec.map_side, spec.map_side), rng)
+        side = int(rng.integers(max(4, spec.map_side // 3), spec.map_side + 1))
+        score = make_map(family, (side, side), rng)
     else:
         score = np.asarray(maps[int(rng.integers(len(maps)))], np.float64)
     eight = bool(rng.random() < spec.eight)
