@@ -10,7 +10,7 @@ from hrt_cli import options as opt
 from hrt_cli.artifacts.stage import Existing
 from hrt_cli.progress import Console
 
-FAMILIES = ("gaussians", "noise", "classes", "obstacles", "speckle")
+FAMILIES = ("gaussians", "noise", "classes", "obstacles", "speckle", "islands", "trails")
 
 
 @click.command(
@@ -51,7 +51,7 @@ Example:
 @click.option(
     "--learning-rate",
     type=opt.FiniteFloat(0, 100, low_open=True),
-    default=0.25,
+    default=0.1,
     show_default=True,
     help="Adam's step at the start.",
 )

@@ -156,8 +156,9 @@ def _fill_layers(
     value: NDArray[np.float64],
     price: NDArray[np.float64],
     free: NDArray[np.bool_],
+    gamma: float,
 ) -> None:
-    """Fill `layers` [moves + 1, n]: the best sum of max(value - price, 0) of a walk that ends at a cell."""
+    """Fill `layers` [moves + 1, n]: the best sum of max(gamma^t value - price, 0) of a walk that ends at a cell."""
     moves, n = layers.shape[0] - 1, layers.shape[1]
     layers[0, :] = NOWHERE
     layers[0, start] = max(value[start] - price[start], 0.0)
@@ -165,8 +166,14 @@ def _fill_layers(
     for c in range(n):
         if free[c]:
             reward[c] = max(value[c] - price[c], 0.0)
+    discount = 1.0
     lo, hi = width + 1, n - width - 1
     for t in range(1, moves + 1):
+        if gamma != 1.0:
+            discount *= gamma
+            for c in range(n):
+                if free[c]:
+                    reward[c] = max(discount * value[c] - price[c], 0.0)
         before, now = layers[t - 1], layers[t]
         now[:lo] = NOWHERE
         now[hi:] = NOWHERE
@@ -192,13 +199,14 @@ def _trace(
     last: int,
     value: NDArray[np.float64],
     price: NDArray[np.float64],
+    gamma: float,
     visits: NDArray[np.float64],
 ) -> None:
     """Count in `visits` how often the best walk that ends at `last` collects from each cell."""
     visits[:] = 0.0
     cell = last
     for t in range(layers.shape[0] - 1, -1, -1):
-        if value[cell] > price[cell]:
+        if gamma**t * value[cell] > price[cell]:
             visits[cell] += 1.0
         if t > 0:
             best = cell - offsets[0]
@@ -206,6 +214,25 @@ def _trace(
                 if layers[t - 1, cell - offsets[k]] > layers[t - 1, best]:
                     best = cell - offsets[k]
             cell = best
+
+
+def _first_prices(field: Field, cells: int, gamma: float) -> NDArray[np.float64]:
+    """Return the prices at which the best `cells` cells, the richest first, are content with a time slot each.
+
+    They are the duals of that assignment: max(q - tau, 0) where nothing is discounted, tau being the next cell's value.
+    """
+    ranked = np.argsort(-np.where(field.free, field.value, -1.0), kind="stable")[: cells + 1]
+    ranked = ranked[field.free[ranked]]
+    value = field.value[ranked]
+    discount = gamma ** np.arange(cells + 1)
+    beyond = value[cells] if value.size > cells else 0.0
+    value = value[:cells]
+    following = np.append(value[1:], beyond)
+    steps = (discount[:-1] - discount[1:])[: value.size] * following
+    slot = discount[value.size] * beyond + steps[::-1].cumsum()[::-1]
+    price = np.zeros(field.free.size)
+    price[ranked[:cells]] = np.maximum(discount[: value.size] * value - slot, 0.0)
+    return price
 
 
 def _best_end(field: Field, layers: NDArray[np.float64]) -> tuple[int, int]:
@@ -219,20 +246,24 @@ def _best_end(field: Field, layers: NDArray[np.float64]) -> tuple[int, int]:
     return end, field.end if field.end >= 0 else int(np.argmax(layers[end]))
 
 
-def lagrangian_bound(field: Field, known: float, iterations: int = 100) -> tuple[float, NDArray[np.float64]]:
+def lagrangian_bound(
+    field: Field, known: float, gamma: float = 1.0, iterations: int = 100
+) -> tuple[float, NDArray[np.float64]]:
     """Return the smallest Lagrangian bound met in `iterations` subgradient steps, and one for every horizon.
 
-    For prices u >= 0, no walk collects more than sum(u) + max over walks of sum_t max(q - u, 0) along the walk:
-    "a cell pays once" is relaxed and u is what a repeated visit forgoes. The steps follow the volume algorithm
-    (Barahona and Anbil 2000): Polyak's length from the best prices so far, along the running mean of visits, from
-    u = max(q - tau, 0) with tau the least of the best T + 1 cells.
+    For prices u >= 0, no walk collects more than sum(u) + max over walks of sum_t max(gamma^t q - u, 0) along the
+    walk: "a cell pays once" is relaxed and u is what a repeated visit forgoes. The steps follow the volume
+    algorithm (Barahona and Anbil 2000): Polyak's length from the best prices so far, along the running mean of
+    visits, from the prices of the assignment of the best cells to time slots.
 
     Parameters
     ----------
     field : Field
         The reachable window.
     known : float
-        Score of a walk that exists, the target of the steps; it does not affect validity.
+        (Discounted) score of a walk that exists, the target of the steps; it does not affect validity.
+    gamma : float
+        Discount per move; 1 bounds the plain score.
     iterations : int
         Subgradient steps.
 
@@ -241,24 +272,23 @@ def lagrangian_bound(field: Field, known: float, iterations: int = 100) -> tuple
     bound : float
         The bound; inf where the relaxation would not fit memory (see `MAX_LAYER_CELLS`).
     profile : ndarray, float64 [T + 1]
-        Bounds on what the first 0..T moves collect.
+        Bounds on what the first 0..T moves collect, discounted alike.
     """
     cells = capacity(field)
     profile = np.full(cells, np.inf)
     if iterations < 1 or field.free.size * cells > MAX_LAYER_CELLS:
         return float("inf"), profile
     layers = np.empty((cells, field.free.size))
-    ranked = np.sort(field.value[field.free])[::-1]
-    price = centre = np.maximum(field.value - ranked[min(cells, ranked.size) - 1], 0.0)
+    price = centre = _first_prices(field, cells, gamma)
     visits = np.zeros(field.free.size)
     mean = np.zeros(0)
     best, step, stale = float("inf"), FIRST_STEP, 0
     for _ in range(iterations):
-        _fill_layers(layers, field.offsets, field.width, field.start, field.value, price, field.free)
+        _fill_layers(layers, field.offsets, field.width, field.start, field.value, price, field.free, gamma)
         end, last = _best_end(field, layers)
         bound = float(price.sum() + layers[end, last])
         profile = np.minimum(profile, price.sum() + np.maximum.accumulate(layers.max(axis=1)))
-        _trace(layers[: end + 1], field.offsets, last, field.value, price, visits)
+        _trace(layers[: end + 1], field.offsets, last, field.value, price, gamma, visits)
         mean = MEMORY * mean + (1.0 - MEMORY) * visits if mean.size else visits.copy()
         if bound < best:
             best, centre, stale, step = bound, price, 0, step * STEP_GROWTH
@@ -322,15 +352,17 @@ def prove_bounds(
         score = min(score, scheduling_bound(joint))
     walks: list[NDArray[np.float64]] = []
     if single and (score > known or gamma is not None):
-        bound, profile = lagrangian_bound(joint, known, iterations)
+        bound, profile = lagrangian_bound(joint, known, 1.0, iterations)
         score = min(score, bound)
         walks.append(profile)
-    if gamma is None:
-        return Bounds(max(score, known), None)
+    if gamma is None or gamma == 1.0:
+        return Bounds(max(score, known), None if gamma is None else max(score, known_discounted))
     profiles = [slots, *walks, *(cut.profile(slots.size - 1) for cut in cuts)]
     least = np.min(profiles, axis=0)
     least[-1] = min(float(least[-1]), score)
     # What fewer moves collect, more moves do too: the other way round a bound on more bounds fewer.
     least = np.minimum.accumulate(least[::-1])[::-1]
     discounted = discounted_sum(least, gamma) * (1.0 + ROUNDING)
+    if single and discounted > known_discounted:
+        discounted = min(discounted, lagrangian_bound(joint, known_discounted, gamma, iterations)[0])
     return Bounds(max(score, known), max(discounted, known_discounted))

@@ -19,5 +19,5 @@ Numba counts references to every array a call passes on, with atomic instruction
 nanoseconds that is most of the time.
 """
 
-lean_sums: Any = njit(**_LEAN, fastmath={"reassoc"})
+lean_sums: Any = njit(**_LEAN, fastmath={"reassoc", "contract"})
 """The same for helpers that add up long rows of float32, which may be added in another order, eight at a time."""

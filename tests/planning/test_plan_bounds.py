@@ -36,7 +36,8 @@ def test_no_walk_beats_the_bounds(problem):
     assert bounds.discounted >= early
     assert scheduling_bound(field) >= best
     assert scheduling_bound(field, problem.gamma) >= early
-    assert lagrangian_bound(field, 0.9 * best, 30)[0] >= best
+    assert lagrangian_bound(field, 0.9 * best, 1.0, 30)[0] >= best
+    assert lagrangian_bound(field, 0.9 * early, problem.gamma, 30)[0] >= early
     assert min(cut.bound() for cut in cuts) >= best * (1 - 1e-9)
 
 
@@ -46,7 +47,7 @@ def test_no_first_moves_beat_the_profiles(problem):
     """What n moves can collect, for every n up to the budget."""
     fields, joint = join_fields([build_field(problem)])
     moves = capacity(joint) - 1
-    profiles = [scheduling_profile(fields, joint), lagrangian_bound(joint, 0.0, 10)[1]]
+    profiles = [scheduling_profile(fields, joint), lagrangian_bound(joint, 0.0, 1.0, 10)[1]]
     profiles += [cut.profile(moves) for cut in cut_regions(fields, joint, early=True)]
     if problem.end is not None:
         return
@@ -148,12 +149,12 @@ def test_lagrangian_bound_sees_that_far_clusters_exclude_each_other():
     score[0, ::4] = 1.0
     field = build_field(Problem(score, (0, 20), Budget(20.0)))
     assert scheduling_bound(field) == pytest.approx(10.0)
-    assert lagrangian_bound(field, 6.0, 60)[0] < 9.0
+    assert lagrangian_bound(field, 6.0, 1.0, 60)[0] < 9.0
 
 
 def test_more_steps_never_loosen_the_bound():
     field = build_field(Problem(np.random.default_rng(0).random((20, 20)), (3, 3), Budget(60.0)))
-    bounds = [lagrangian_bound(field, 40.0, n)[0] for n in (1, 10, 50)]
+    bounds = [lagrangian_bound(field, 40.0, 1.0, n)[0] for n in (1, 10, 50)]
     assert bounds == sorted(bounds, reverse=True)
 
 
