@@ -363,7 +363,7 @@ def _tour(bench: _Bench, cut: Cut, horizon: int | None, seed: int) -> Team:
     team: Team = []
     for robot, order in enumerate(orders):
         field = bench.left_over(robot, team)
-        way = follow(bench.joint, field.start, cut.label, cut.group, order, price)
+        way = follow(bench.joint, field.start, cut.label, cut.group, order, price, capacity(field))
         walk = fit(field, way)
         if field.limit <= LONGEST_WIDENED:
             walk = widen(field, field.limit, walk)
