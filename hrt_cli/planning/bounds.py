@@ -343,7 +343,7 @@ def prove_bounds(
     gamma : float, optional
         Discount per move; without it the discounted score is not bounded.
     iterations : int
-        Subgradient steps of the Lagrangian relaxation of "a cell pays once".
+        Subgradient steps of the Lagrangian relaxation of "a cell pays once"; shared by the two scores.
     """
     slots = scheduling_profile(fields, joint)
     score = min([float(slots[-1]), *(cut.bound() for cut in cuts)]) * (1.0 + ROUNDING)
@@ -351,6 +351,8 @@ def prove_bounds(
     if single and joint.end >= 0:
         score = min(score, scheduling_bound(joint))
     walks: list[NDArray[np.float64]] = []
+    if gamma is not None and gamma != 1.0:
+        iterations = (iterations + 1) // 2
     if single and (score > known or gamma is not None):
         bound, profile = lagrangian_bound(joint, known, 1.0, iterations)
         score = min(score, bound)

@@ -54,6 +54,12 @@ PROPOSALS_PER_MOVE = 4000
 MOST_PROPOSALS = 20_000_000
 """Changes proposed at most at effort 1, however long the walk."""
 
+DISCOUNTED_MOVES = 500
+"""Moves of all robots above which a discounted plan is changed less often: each change is valued along the walk."""
+
+DISCOUNTED_SHARE = 0.6
+"""Share of the changes proposed where the score is discounted: they cost more to value."""
+
 TIDY_SHARE = 0.1
 """Changes of the straightening pass, relative to the annealing."""
 
@@ -376,6 +382,8 @@ def _refine(bench: _Bench, teams: list[Team], effort: float, seed: int) -> Team:
     """Anneal all walks a little, the best ones further, then straighten the winner without cost."""
     total = float(bench.limits.sum())
     proposals = min(PROPOSALS_PER_MOVE * total, MOST_PROPOSALS) * effort
+    if bench.gamma != 1.0:
+        proposals *= DISCOUNTED_SHARE * min(1.0, DISCOUNTED_MOVES / total)
     heat = float(np.mean([bench.joint.value[walk].mean() for team in teams for walk in team]))
     if min(walk.size for team in teams for walk in team) < 2 or heat <= 0.0:
         return bench.best(teams)

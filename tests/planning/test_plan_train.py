@@ -12,7 +12,7 @@ from hrt_cli.planning.features import build_blocks, weight_count
 from hrt_cli.planning.planner import plan
 from hrt_cli.planning.policy import Policy
 from hrt_cli.planning.problem import Budget, Problem
-from hrt_cli.planning.train import TrainSpec, _map_seeds, _try_map, explore, gpomdp_gradient, train
+from hrt_cli.planning.train import TrainSpec, _map_seeds, _try_map, explore, first_weights, gpomdp_gradient, train
 from hrt_cli.planning.walk import build_field
 
 MOVES = 3
@@ -56,7 +56,7 @@ def test_the_optimiser_is_adam_with_a_step_that_falls_to_a_tenth():
     spec = TrainSpec(iterations=5, learning_rate=0.3, **SMALL)
     states = []
     policy, curve = train(spec, keep=states.append)
-    weights = first = second = np.zeros_like(policy.weights)
+    weights, first, second = first_weights(spec.layout, spec.seed), 0.0, 0.0
     for t in range(1, 6):
         tried = [_try_map(spec, None, weights, seed) for seed in _map_seeds(spec, t - 1)]
         gradient = sum(each[0] for each in tried) / spec.maps_per_iteration
