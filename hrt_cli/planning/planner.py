@@ -115,6 +115,11 @@ class _Bench:
         self.evaluations += len(team)
         return team
 
+    @staticmethod
+    def is_whole(walk: Walk, field: Field) -> bool:
+        """Tell whether a walk spends a budget of moves exactly, as every walk must whose moves all cost 1."""
+        return not field.exact or walk.size == capacity(field)
+
     def best(self, teams: Sequence[Team]) -> Team:
         """Return the walks of the highest value; among equals, those with the fewest turns."""
         values = [self.value(team) for team in teams]
@@ -341,7 +346,8 @@ def _walks(
     else:
         teams.append(bench.in_turn(walkers["policy-sample"]))
     horizon = None if gamma == 1.0 else min(bench.cells - 1, math.ceil(1.0 / (1.0 - gamma)))
-    teams += [_tour(bench, cut, horizon, seed) for cut in cuts]
+    tours = [_tour(bench, cut, horizon, seed) for cut in cuts]
+    teams += [team for team in tours if all(map(bench.is_whole, team, bench.fields))]
     progress(2, 4)
     return _refine(bench, teams, effort, seed)
 

@@ -296,7 +296,9 @@ def widen(field: Field, limit: float, walk: NDArray[np.int64]) -> NDArray[np.int
         seen[path[t]] = True
     left = limit - walk_cost(field, path, n)
     while True:
-        best, at, put, first, second, spent = 0.0, -1, 0, 0, 0, 0.0
+        # A last single move cannot leave the end and come back: it is spent on the way, even for nothing.
+        best = -1.0 if field.exact and field.end >= 0 and left < 2.0 else 0.0
+        at, put, first, second, spent = -1, 0, 0, 0, 0.0
         for i in range(n - 1):
             a, b = path[i], path[i + 1]
             straight = step_cost(field, b - a)
