@@ -8,10 +8,10 @@ hrt init "$demo" --overwrite
 cp fixtures/demo-scores.json "$demo/scores.json"
 make --no-print-directory -C "$demo" ortho=site/ortho.tif classes=6 scores=scores.json no_go_below=0.2 budget=400
 echo
-hrt evaluate plan "$demo/out/scoremap.tif" "$demo/out/plan.json"
+hrt evaluate plan "$demo/out/scoremap.tif" "$demo/out/plan.json" --figure "$demo/out/rewards.png" --overwrite
 echo
-echo "Pictures: $demo/out/classes.png $demo/out/scoremap.png $demo/out/plan.png"
+echo "Pictures: $demo/out/classes.png $demo/out/scoremap.png $demo/out/plan.png $demo/out/rewards.png"
 echo "Missions: $demo/out/mission.plan (QGroundControl) mission.waypoints mission.gpx mission.geojson"
 classes=$(hrt evaluate segment "$demo/out/classes.tif" "$demo/site/truth.tif")
-plan=$(hrt evaluate plan "$demo/out/scoremap.tif" "$demo/out/plan.json" | sed -n 1p)
+plan=$(hrt evaluate plan "$demo/out/scoremap.tif" "$demo/out/plan.json" --no-planner | sed -n 1p)
 echo "Figures:  $classes; $plan"

@@ -212,7 +212,7 @@ def read_rings(
     for level in range(kept):
         share = 1.0 / (blocks.sizes[level] * blocks.sizes[level])
         for k in range(RING):
-            rings[level, k] = sums[level, at + blocks.rings[level, k]] * share
+            rings[level, k] = sums[level, np.uint64(at + blocks.rings[level, k])] * share
     if blocks.far.size > 0:
         _read_regions(blocks, width, path, n, fresh, rings, kept)
         return
@@ -220,11 +220,11 @@ def read_rings(
     for k in range(RING):
         total = np.float32(0.0)
         for i in range(9):
-            total += sums[kept - 1, at + blocks.wide[k, i]]
+            total += sums[kept - 1, np.uint64(at + blocks.wide[k, i])]
         rings[kept, k] = total * share
     for level in range(kept + 1):
         for k in range(RING):
-            rings[kept + 1 + level, k] = blocks.blocked[level, at + blocks.rings[level, k]]
+            rings[kept + 1 + level, k] = blocks.blocked[level, np.uint64(at + blocks.rings[level, k])]
 
 
 @lean_kernel
@@ -289,12 +289,15 @@ def _read_regions(
 @lean_kernel
 def tie_rings(rings: NDArray[np.float64], move: int, heading: int, phi: NDArray[np.float32]) -> None:
     """Fill row `move` of `phi` with the rings as seen along `heading` (0..7): the two sides are added up."""
+    around = np.uint64(heading)
     for level in range(rings.shape[0] - 1):
         base = level * TIED
-        phi[move, base] = rings[level, heading]
+        phi[move, base] = rings[level, around]
         for turn in range(1, TIED - 1):
-            phi[move, base + turn] = rings[level, (heading + turn) & 7] + rings[level, (heading - turn) & 7]
-        phi[move, base + TIED - 1] = rings[level, (heading + 4) & 7]
+            right = (around + np.uint64(turn)) & np.uint64(7)
+            left = (around + np.uint64(RING - turn)) & np.uint64(7)
+            phi[move, base + turn] = rings[level, right] + rings[level, left]
+        phi[move, base + TIED - 1] = rings[level, (around + np.uint64(4)) & np.uint64(7)]
 
 
 @lean_kernel
@@ -328,7 +331,7 @@ def read_more(
         level, away = NEAR[i]
         share = 1.0 / (blocks.sizes[level] * blocks.sizes[level])
         for k in range(RING):
-            rings[3 * kept + 2 + i, k] = sums[level, at + away * blocks.rings[0, k]] * share
+            rings[3 * kept + 2 + i, k] = sums[level, np.uint64(at + away * blocks.rings[0, k])] * share
     seen = 0.0
     for k in range(RING):
         rings[3 * kept + 2 + len(NEAR), k] = 0.0
