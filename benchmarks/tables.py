@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import os
+import platform
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import TypeVar
 
@@ -13,6 +16,7 @@ DATA = ROOT.parent / "shared" / "data"
 """Real data, beside the project where there is any."""
 
 _Result = TypeVar("_Result")
+_Size = TypeVar("_Size")
 
 
 class Skipped(Exception):
@@ -93,3 +97,38 @@ def cpu_seconds(work: Callable[[], _Result], repeats: int = 1) -> tuple[float, _
         result = work()
         least = min(least, time.process_time() - began)
     return least, result
+
+
+def machine(names: Sequence[str]) -> dict[str, object]:
+    """What the figures were measured on, with the versions of packages (None where one is not installed)."""
+    info = Path("/proc/cpuinfo")
+    lines = info.read_text(encoding="utf-8").splitlines() if info.exists() else []
+    models = [line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")]
+    packages: dict[str, str | None] = {}
+    for name in names:
+        try:
+            packages[name] = version(name)
+        except PackageNotFoundError:
+            packages[name] = None
+    processor = models[0] if models else platform.processor()
+    return {"processor": processor, "cores": os.cpu_count(), "python": platform.python_version(), "packages": packages}
+
+
+def measure(
+    sections: Mapping[str, Callable[[_Size], list[Table]]], names: Sequence[str], size: _Size
+) -> dict[str, object]:
+    """Run the sections named, print their tables, and return everything as JSON values."""
+    results: dict[str, object] = {}
+    for name in names:
+        began = time.monotonic()
+        try:
+            tables = sections[name](size)
+        except Skipped as reason:
+            print(f"{name}: skipped, {reason}\n", flush=True)
+            results[name] = {"skipped": str(reason)}
+            continue
+        for table in tables:
+            print(f"{table.text()}\n", flush=True)
+        shown = [{"title": one.title, "rows": list(one.rows), "notes": list(one.notes)} for one in tables]
+        results[name] = {"tables": shown, "seconds": time.monotonic() - began}
+    return results

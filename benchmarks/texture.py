@@ -9,11 +9,7 @@ from __future__ import annotations
 
 import argparse
 import json
-import os
-import platform
-import time
 from collections.abc import Callable
-from importlib.metadata import version
 from pathlib import Path
 
 import cv2
@@ -21,7 +17,7 @@ import texture_command
 import texture_kernel
 import texture_mosaics
 import texture_sites
-from tables import FULL, NORMAL, QUICK, Effort, Skipped, Table
+from tables import FULL, NORMAL, QUICK, Effort, Table, machine, measure
 from threadpoolctl import threadpool_limits
 
 SECTIONS: dict[str, Callable[[Effort], list[Table]]] = {
@@ -33,37 +29,6 @@ SECTIONS: dict[str, Callable[[Effort], list[Table]]] = {
     "quality-synth": texture_sites.quality_synth,
 }
 PACKAGES = ("numpy", "numba", "opencv-python-headless", "rasterio", "scikit-image", "scikit-learn", "scipy")
-
-
-def machine() -> dict[str, object]:
-    """What the figures were measured on."""
-    info = Path("/proc/cpuinfo")
-    lines = info.read_text(encoding="utf-8").splitlines() if info.exists() else []
-    models = [line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")]
-    return {
-        "processor": models[0] if models else platform.processor(),
-        "cores": os.cpu_count(),
-        "python": platform.python_version(),
-        "packages": {name: version(name) for name in PACKAGES},
-    }
-
-
-def measure(sections: list[str], effort: Effort) -> dict[str, object]:
-    """Run the sections, print their tables, and return everything as JSON values."""
-    results: dict[str, object] = {}
-    for name in sections:
-        began = time.monotonic()
-        try:
-            tables = SECTIONS[name](effort)
-        except Skipped as reason:
-            print(f"{name}: skipped, {reason}\n", flush=True)
-            results[name] = {"skipped": str(reason)}
-            continue
-        for table in tables:
-            print(f"{table.text()}\n", flush=True)
-        shown = [{"title": one.title, "rows": list(one.rows), "notes": list(one.notes)} for one in tables]
-        results[name] = {"tables": shown, "seconds": time.monotonic() - began}
-    return results
 
 
 def main(arguments: list[str] | None = None) -> None:
@@ -79,10 +44,10 @@ def main(arguments: list[str] | None = None) -> None:
         parser.error(f"no section {', '.join(unknown)}: choose from {', '.join(SECTIONS)}")
     cv2.setNumThreads(1)
     with threadpool_limits(1):
-        sections = measure(given.sections or list(SECTIONS), given.effort or NORMAL)
+        sections = measure(SECTIONS, given.sections or list(SECTIONS), given.effort or NORMAL)
     if given.json:
         given.json.write_text(
-            json.dumps({"machine": machine(), "sections": sections}, indent=2) + "\n", encoding="utf-8"
+            json.dumps({"machine": machine(PACKAGES), "sections": sections}, indent=2) + "\n", encoding="utf-8"
         )
 
 

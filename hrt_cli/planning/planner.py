@@ -263,11 +263,11 @@ def _check_arguments(problems: Sequence[Problem], method: str, effort: float, sa
         raise ArgumentError(f"plans are made for 1 to {MOST_ROBOTS} robots, not {len(problems)}")
     first = problems[0]
     for other in problems[1:]:
-        same = (other.connectivity, other.objective, other.gamma, other.counts_moves) == (
-            first.connectivity, first.objective, first.gamma, first.counts_moves,
-        )  # fmt: skip
+        same = _task(other) == _task(first)
         if other.score is not first.score or not same:
-            raise ArgumentError("robots of one team need the same map, neighbours, objective and unit of budget")
+            raise ArgumentError(
+                "robots of one team need the same map, neighbours, objective and unit of budget, and all or none an end"
+            )
     if method not in METHODS:
         raise ArgumentError(f"unknown method {method!r} (one of: {', '.join(METHODS)})")
     if not (math.isfinite(effort) and effort > 0):
@@ -276,6 +276,11 @@ def _check_arguments(problems: Sequence[Problem], method: str, effort: float, sa
         raise ArgumentError(f"at least one rollout must be sampled, not {samples}")
     if seed < 0:
         raise ArgumentError(f"the seed must not be negative, not {seed}")
+
+
+def _task(problem: Problem) -> tuple[object, ...]:
+    """Return what the problems of one team have in common."""
+    return problem.connectivity, problem.objective, problem.gamma, problem.counts_moves, problem.end is None
 
 
 def bound_of(problems: Sequence[Problem], score: float, discounted_score: float | None = None) -> Bounds:

@@ -102,6 +102,7 @@ def test_a_team_is_one_map_and_one_objective():
         replace(problem, score=np.ones((5, 5))),
         replace(problem, connectivity=8),
         replace(problem, objective="discounted"),
+        replace(problem, end=(1, 1)),  # the annealing holds the ends of all paths, or of none
     ):
         with pytest.raises(ArgumentError, match="robots of one team"):
             plan_team([problem, other])
