@@ -41,9 +41,10 @@ lock:
 	$(VENV)-lock/bin/pip list --format=freeze | grep -v -i -E '^(hrt|pip|setuptools|wheel)==' | sed 's/+cpu$$//' > requirements.lock
 	rm -rf $(VENV)-lock
 
-# The policy that ships with the package: the default training, the same bytes from the same seed.
+# The policies that ship with the package: the default training, the same bytes from the same seed.
 policy: $(VENV)/.installed
-	$(BIN)/hrt train-plan -o hrt_cli/planning/default_policy.npz --overwrite
+	$(BIN)/hrt train-plan -o hrt_cli/planning/default_policy_network.npz --overwrite
+	$(BIN)/hrt train-plan --features manjanna24 -o hrt_cli/planning/default_policy_manjanna24.npz --overwrite
 
 # The sample sites of fixtures/, and the figures that the flow reaches on them.
 fixtures: $(VENV)/.installed

@@ -26,7 +26,7 @@ from tables import DATA, Skipped, Table, machine, measure
 
 from hrt_cli.planning.features import build_blocks
 from hrt_cli.planning.planner import METHODS, plan
-from hrt_cli.planning.policy import Policy, default_policy, roll_many
+from hrt_cli.planning.policy import Policy, default_policies, roll_many
 from hrt_cli.planning.problem import Budget, Plan, Problem
 from hrt_cli.planning.train import TrainSpec, train
 from hrt_cli.planning.walk import build_field
@@ -115,10 +115,10 @@ def best_cells(task: Task) -> float:
     return float(np.sort(task.score[own_region(task)])[::-1][: task.moves + 1].sum())
 
 
-def checked_plan(task: Task, method: str, objective: str = "total", policy: Policy | None = None) -> Plan:
+def checked_plan(task: Task, method: str, objective: str = "total", policies: Sequence[Policy] | None = None) -> Plan:
     """Plan, and value the walk again; a RuntimeError if the two differ or the walk breaks a rule."""
     made = plan(Problem(task.score, task.start, Budget(float(task.moves)), objective=objective, gamma=GAMMA), method,
-                policy)  # fmt: skip
+                policies)  # fmt: skip
     for name, gamma, claimed in (("score", 1.0, made.score), ("discounted score", GAMMA, made.discounted_score)):
         found = walk_score(task, made.cells, gamma)
         if abs(found - claimed) > TOLERANCE * max(1.0, abs(found)):
@@ -144,12 +144,14 @@ class Made:
         return {"seconds": timing([one.seconds for one in self.plans]), "CPU seconds": timing(self.cpu_s)}
 
 
-def make_plans(tasks: Sequence[Task], method: str, objective: str = "total", policy: Policy | None = None) -> Made:
+def make_plans(
+    tasks: Sequence[Task], method: str, objective: str = "total", policies: Sequence[Policy] | None = None
+) -> Made:
     """Plan on every map, with the CPU time of all threads."""
     plans, cpu_s = [], []
     for task in tasks:
         began = time.process_time()
-        plans.append(checked_plan(task, method, objective, policy))
+        plans.append(checked_plan(task, method, objective, policies))
         cpu_s.append(time.process_time() - began)
     return Made(plans, cpu_s)
 
@@ -322,36 +324,38 @@ def beside_peers(size: Size) -> list[Table]:
 
 
 def rollout_speed(tasks: Sequence[Task], rollouts: int, threads: int) -> tuple[float, float]:
-    """Return the moves per second and per CPU second of sampled rollouts of the default policy."""
-    policy = default_policy()
+    """Return the moves per second and per CPU second of sampled rollouts, shared out among the default policies."""
+    policies = default_policies()
     fields = [build_field(Problem(task.score, task.start, Budget(float(task.moves)))) for task in tasks]
-    blocks = [build_blocks(field, policy.layout) for field in fields]
-    roll_many(fields[0], blocks[0], policy.weights, 1, 0)
+    jobs = [(field, build_blocks(field, policy.layout), policy.weights, rollouts // len(policies), k)
+            for k, field in enumerate(fields) for policy in policies]  # fmt: skip
+    roll_many(*jobs[0])
 
     def one(k: int) -> int:
-        return int((roll_many(fields[k], blocks[k], policy.weights, rollouts, k)[1] - 1).sum())
+        return int((roll_many(*jobs[k])[1] - 1).sum())
 
     clock = peers.Clock()
     with ThreadPoolExecutor(threads) as pool:
-        return clock.rates(sum(pool.map(one, range(len(tasks)))))
+        return clock.rates(sum(pool.map(one, range(len(jobs)))))
 
 
 def speed(size: Size) -> list[Table]:
     tasks = make_tasks(2)
     train(TrainSpec(iterations=1))
-    spec = TrainSpec(iterations=size.iterations)
-    each = spec.maps_per_iteration * spec.rollouts
+    specs = [TrainSpec(iterations=size.iterations, layout=policy.layout) for policy in default_policies()]
+    default = TrainSpec()
+    each = default.maps_per_iteration * default.rollouts
     clock = peers.Clock()
-    train(spec)
-    learning = clock.rates(spec.iterations * each * spec.moves)
+    for spec in specs:
+        train(spec)
+    learning = clock.rates(len(specs) * size.iterations * each * default.moves)
     measured = {
         "hrt, sampled rollouts, 1 thread": rollout_speed(tasks, size.rollouts, 1),
         "hrt, sampled rollouts, 2 threads": rollout_speed(tasks, size.rollouts, 2),
         "hrt, training, 2 threads": learning,
     }
-    default = TrainSpec()
-    seconds = default.iterations * each * default.moves / learning[0]
-    notes = [f"training of the default policy: {seconds:.1f} s for {default.iterations} iterations of "
+    seconds = len(specs) * default.iterations * each * default.moves / learning[0]
+    notes = [f"training of the default policies: {seconds:.1f} s for {default.iterations} iterations each, of "
              f"{default.maps_per_iteration} maps and {each} rollouts of {default.moves} moves"]  # fmt: skip
     try:
         learners = [peers.ppo_speed(tasks, envs, size.ppo_moves) for envs in (1, 8)]
@@ -435,11 +439,13 @@ def seeds(size: Size) -> list[Table]:
     bounds = make_plans(tasks, "refined").values("upper_bound", size.seed_maps)
     rows, means = [], []
     for seed in range(size.seeds):
-        policy, curve = train(TrainSpec(seed=seed, iterations=size.seed_iterations))
-        shares = make_plans(tasks, "policy", policy=policy).values("score", size.seed_maps) / bounds
+        trained = [train(TrainSpec(seed=seed, iterations=size.seed_iterations, layout=policy.layout))
+                   for policy in default_policies()]  # fmt: skip
+        plans = make_plans(tasks, "policy", policies=[policy for policy, _ in trained])
+        shares = plans.values("score", size.seed_maps) / bounds
         means.append(float(shares.mean()))
         families = {family: float(shares[k].mean()) for k, family in enumerate(HELD_OUT)}
-        last = float(curve[-20:].mean())
+        last = [round(float(curve[-20:].mean()), 3) for _, curve in trained]
         rows.append({"seed": seed, **spread(shares, "of the bound"), "last of the curve": last, **families})
     notes = [f"{len(tasks)} maps; the likeliest moves of policies trained for {size.seed_iterations} iterations",
              f"mean of the seeds {np.mean(means):.4f}, standard deviation {np.std(means, ddof=1):.4f}"]  # fmt: skip

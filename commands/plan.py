@@ -73,7 +73,13 @@ Example:
     show_default=True,
     help="The robot's speed in m/s.",
 )
-@click.option("--policy", "policy_path", type=opt.PATH, help="Policy (.npz). Default: the one that ships with hrt.")
+@click.option(
+    "--policy",
+    "policy_paths",
+    type=opt.PATH,
+    multiple=True,
+    help="Policy (.npz, repeatable: the best walk of all counts). Default: the two that ship with hrt.",
+)
 @click.option(
     "--effort", type=opt.FiniteFloat(0.01, 1000), default=1.0, show_default=True, help="Compute spent on refinement."
 )
@@ -99,7 +105,7 @@ def plan(
     robots: int,
     visited: tuple[Path, ...],
     speed_m_s: float,
-    policy_path: Path | None,
+    policy_paths: tuple[Path, ...],
     effort: float,
     samples: int,
     seed: int,
@@ -136,7 +142,7 @@ def plan(
             scoremap,
             output,
             request,
-            policy_path=policy_path,
+            policy_paths=policy_paths,
             visited=visited,
             existing=existing,
             progress=progress,

@@ -102,9 +102,9 @@ def train_plan(
 ) -> None:
     """Train a planning policy by policy gradients, on SCOREMAPS or on generated maps where none is given.
 
-    The same seed gives the same bytes. The policy that ships with hrt is what this command writes by default. A
-    training that was stopped goes on where it was when the same command is run again; to begin anew instead, delete
-    .OUTPUT.hrt-checkpoint.
+    The same seed gives the same bytes. The policies that ship with hrt are what this command writes by default, and
+    with --features manjanna24. A training that was stopped goes on where it was when the same command is run again;
+    to begin anew instead, delete .OUTPUT.hrt-checkpoint.
     """
     if scoremaps and (families or map_side is not None):
         raise click.UsageError("--family and --map-side are for generated maps, and SCOREMAPS are given")

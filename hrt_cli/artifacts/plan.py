@@ -56,20 +56,36 @@ class Grid(Document):
     georeference: Literal["real", "fake", "none"]
 
 
-class PlanDocument(Document):
-    """A plan. `score`, `discounted_score`, `upper_bound` and `gap` are defined in `docs/method.md`.
+class _Planned(Document):
+    """What the plan of one robot and that of a team say alike; the terms are defined in `docs/method.md`."""
 
-    `end` is the cell where the walk had to end, None where it was free to choose. `collected` cells pay nothing and
-    `blocked` ones may not be entered, for what an earlier drive did there.
-    """
-
-    format: Literal["hrt-plan"] = "hrt-plan"
+    format: str
     version: Literal[1] = 1
     method: str
     seed: int
     objective: Literal["total", "discounted"]
     gamma: float = Field(gt=0, le=1)
     connectivity: Literal[4, 8]
+    score: float = Field(ge=0)
+    discounted_score: float = Field(ge=0)
+    upper_bound: float = Field(ge=0)
+    gap: float = Field(ge=0, le=1)
+    discounted_upper_bound: float | None = Field(default=None, ge=0)
+    discounted_gap: float | None = Field(default=None, ge=0, le=1)
+    steps: int = Field(ge=0)
+    length_m: float = Field(ge=0)
+    time_s: float = Field(ge=0)
+    provenance: Provenance | None = None
+
+
+class PlanDocument(_Planned):
+    """A plan.
+
+    `end` is the cell where the walk had to end, None where it was free to choose. `collected` cells pay nothing and
+    `blocked` ones may not be entered, for what an earlier drive did there.
+    """
+
+    format: Literal["hrt-plan"] = "hrt-plan"
     return_home: bool
     budget: Budget
     grid: Grid
@@ -77,21 +93,11 @@ class PlanDocument(Document):
     end: Cell | None = None
     collected: list[Cell] = Field(default_factory=list)
     blocked: list[Cell] = Field(default_factory=list)
-    steps: int = Field(ge=0)
-    score: float = Field(ge=0)
-    discounted_score: float = Field(ge=0)
-    upper_bound: float = Field(ge=0)
-    gap: float = Field(ge=0, le=1)
-    discounted_upper_bound: float | None = Field(default=None, ge=0)
-    discounted_gap: float | None = Field(default=None, ge=0, le=1)
-    length_m: float = Field(ge=0)
     speed_m_s: float = Field(gt=0)
-    time_s: float = Field(ge=0)
     waypoints: list[Waypoint] = Field(min_length=1)
     cells: list[Cell] = Field(min_length=1)
     xy: list[Point]
     lonlat: list[Point] | None
-    provenance: Provenance | None = None
 
     @model_validator(mode="after")
     def _agree(self) -> PlanDocument:
@@ -125,30 +131,14 @@ class TeamMember(Document):
     waypoints: int = Field(ge=1)
 
 
-class TeamPlanDocument(Document):
+class TeamPlanDocument(_Planned):
     """The plan of a team. Each cell pays once, to the robot that comes first; scores and bounds are of all together.
 
     `time_s` is that of the robot that drives longest.
     """
 
     format: Literal["hrt-team-plan"] = "hrt-team-plan"
-    version: Literal[1] = 1
-    method: str
-    seed: int
-    objective: Literal["total", "discounted"]
-    gamma: float = Field(gt=0, le=1)
-    connectivity: Literal[4, 8]
-    score: float = Field(ge=0)
-    discounted_score: float = Field(ge=0)
-    upper_bound: float = Field(ge=0)
-    gap: float = Field(ge=0, le=1)
-    discounted_upper_bound: float | None = Field(default=None, ge=0)
-    discounted_gap: float | None = Field(default=None, ge=0, le=1)
-    steps: int = Field(ge=0)
-    length_m: float = Field(ge=0)
-    time_s: float = Field(ge=0)
     robots: list[TeamMember] = Field(min_length=2)
-    provenance: Provenance | None = None
 
 
 def read_plan(path: Path) -> PlanDocument:

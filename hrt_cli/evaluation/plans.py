@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -12,12 +12,12 @@ from affine import Affine
 from numpy.typing import NDArray
 from rasterio.crs import CRS
 
-from hrt_cli.artifacts.plan import PlanDocument, read_plan
-from hrt_cli.errors import InputError
-from hrt_cli.evaluation.rewards import Curve, RewardChart, cumulative_reward, distance_travelled
+from hrt_cli.artifacts.plan import PlanDocument, read_plan, team_members
+from hrt_cli.errors import ArgumentError, InputError
+from hrt_cli.evaluation.rewards import Curve, RewardChart, team_reward
 from hrt_cli.evaluation.starts import StartsComparison, compare_over_starts, draw_starts, task_bounds
-from hrt_cli.planning.planner import find_walk
-from hrt_cli.planning.policy import default_policy_sha256
+from hrt_cli.planning.planner import find_walks
+from hrt_cli.planning.policy import default_policies_sha256
 from hrt_cli.planning.problem import Budget, Problem
 from hrt_cli.progress import Progress, silent
 from hrt_cli.raster.grid import Grid, require_same_grid
@@ -26,10 +26,16 @@ from hrt_cli.raster.scoremap import Scoremap, read_scoremap
 PLANNERS = ("refined", "policy")
 BASELINES = ("lawnmower", "rectangle", "greedy", "spiral", "random")
 
+_Walks = list[NDArray[np.int32]]
+"""The walks of a team, int32 [T + 1, 2] each."""
+
 
 @dataclass(frozen=True)
 class Worth:
-    """What one walk collects; the fractions are the shares of the bounds on `score` and `discounted_score`."""
+    """What a walk, or a team's walks together, collect.
+
+    The fractions are the shares of the bounds on `score` and `discounted_score`.
+    """
 
     score: float
     discounted_score: float
@@ -67,7 +73,7 @@ class Trials:
         """Return all that changes the results besides the files, as JSON values."""
         return {
             "methods": list(self.methods),
-            "policy": default_policy_sha256() if self.planner else None,
+            "policy": default_policies_sha256() if self.planner else None,
             "seed": self.seed,
             "starts": self.starts,
             "seeds": self.seeds,
@@ -76,7 +82,7 @@ class Trials:
 
 @dataclass(frozen=True)
 class PlanComparison:
-    """Plans of one start and budget on one scoremap, other walks of that task, and the bounds on any of them.
+    """Plans of one task (starts, budgets) on one scoremap, other walks of that task, and the bounds on any of them.
 
     Attributes
     ----------
@@ -85,7 +91,7 @@ class PlanComparison:
     plans, planner, baselines : dict of str to Worth
         By file, and by method; `planner` is empty where the task was not planned afresh.
     upper_bound, discounted_upper_bound : float
-        Proven bounds on `score` and `discounted_score` for that start, budget and gamma.
+        Proven bounds on `score` and `discounted_score` for that task.
     starts : StartsComparison or None
         The methods over other starts, where asked for.
     chart : RewardChart
@@ -112,33 +118,38 @@ def evaluate_plans(
 ) -> PlanComparison:
     """Value plans on a scoremap, beside what a user would do instead.
 
+    Each plan is one robot's, or a team's, whose robots' plans stand beside it.
+
     Raises
     ------
     InputError
         A file cannot be used; a plan lies on another grid or enters a no-go cell; the plans differ in start, budget,
         neighbours or objective, so that no one bound and baseline could serve them all.
     ArgumentError
-        More starts are asked for than there are cells to start from.
+        More starts are asked for than there are cells to start from, or starts for a team.
     """
     scoremap = read_scoremap(scoremap_path)
     plans = {path: _read(path, scoremap_path, scoremap) for path in plan_paths}
-    first_path, first = next(iter(plans.items()))
+    first_path, team = next(iter(plans.items()))
     for path, other in plans.items():
-        if _task(other) != _task(first):
+        if list(map(_task, other)) != list(map(_task, team)):
             raise InputError(path, f"has another start, budget, objective or neighbours than {first_path}")
-    problem = _problem(scoremap, first)
+    if trials.starts and len(team) > 1:
+        raise ArgumentError(f"{first_path} is the plan of a team: other starts can be drawn for one robot only")
+    problems = _problems(scoremap, team)
+    first, problem = team[0], problems[0]
     starts = (
         draw_starts(problem.score, problem.start, problem.connectivity, trials.starts, trials.seed)
         if trials.starts
         else None
     )
     tick = _ticker(progress, len(trials.methods) + 1 + trials.starts * (trials.seeds + 1))
-    walks: dict[str, NDArray[np.integer]] = {}
+    walks: dict[str, _Walks] = {}
     for name in trials.methods:
-        walks[name] = find_walk(problem, name, seed=trials.seed)
+        walks[name] = find_walks(problems, name, seed=trials.seed)
         tick()
-    given = {str(path): np.array(plan.cells) for path, plan in plans.items()}
-    worth, bounds = _valued(problem, [*given.values(), *walks.values()])
+    given: dict[str, _Walks] = {str(path): [np.array(plan.cells) for plan in plans[path]] for path in plans}
+    worth, bounds = _valued(problems, [*given.values(), *walks.values()])
     tick()
     by_plan = dict(zip(given, worth, strict=False))
     by_method = dict(zip(walks, worth[len(given) :], strict=True))
@@ -156,11 +167,19 @@ def evaluate_plans(
         {name: each for name, each in by_method.items() if name in BASELINES},
         *bounds,
         over,
-        _mean_chart(problem, first, scoremap, over) if over else _chart(problem, first, scoremap, given, walks, bounds),
+        _mean_chart(problem, first, scoremap, over) if over else _chart(problems, team, scoremap, given, walks, bounds),
     )
 
 
-def _read(path: Path, scoremap_path: Path, scoremap: Scoremap) -> PlanDocument:
+def _read(path: Path, scoremap_path: Path, scoremap: Scoremap) -> list[PlanDocument]:
+    """Return the plan in a file, or those of the robots of the team in it."""
+    team = [_read_one(each, scoremap_path, scoremap) for each in team_members(path) or [path]]
+    if any(_shared(plan) != _shared(team[0]) for plan in team):
+        raise InputError(path, "is the plan of robots that differ in more than start, end and budget")
+    return team
+
+
+def _read_one(path: Path, scoremap_path: Path, scoremap: Scoremap) -> PlanDocument:
     plan = read_plan(path)
     grid = Grid(
         plan.grid.rows,
@@ -176,38 +195,43 @@ def _read(path: Path, scoremap_path: Path, scoremap: Scoremap) -> PlanDocument:
 
 
 def _task(plan: PlanDocument) -> tuple[object, ...]:
+    return plan.start, plan.end, plan.budget, _shared(plan)
+
+
+def _shared(plan: PlanDocument) -> tuple[object, ...]:
+    """Return what the robots of a team have in common."""
     before = tuple(plan.collected), tuple(plan.blocked)
-    return plan.start, plan.end, plan.budget, plan.connectivity, plan.objective, plan.gamma, before
+    return plan.connectivity, plan.objective, plan.gamma, plan.budget.unit, before
 
 
-def _problem(scoremap: Scoremap, plan: PlanDocument) -> Problem:
+def _problems(scoremap: Scoremap, team: Sequence[PlanDocument]) -> list[Problem]:
     score = scoremap.score.copy()
-    for cell in plan.collected:
+    for cell in team[0].collected:
         if not np.isnan(score[cell]):
             score[cell] = 0.0
-    for cell in plan.blocked:
+    for cell in team[0].blocked:
         score[cell] = np.nan
-    return Problem(
-        score,
-        plan.start,
-        Budget(plan.budget.cells, 1.0 if plan.budget.unit == "steps" else float(np.sqrt(2.0))),
-        connectivity=plan.connectivity,
-        objective=plan.objective,
-        gamma=plan.gamma,
-        end=plan.start if plan.return_home else plan.end,
-    )
-
-
-def _valued(problem: Problem, walks: list[NDArray[np.integer]]) -> tuple[list[Worth], tuple[float, float]]:
-    """Value walks of one problem; the bounds in the plans may be of another map, or of nobody, so they are not used."""
-    found = [
-        (
-            float(cumulative_reward(problem.score, cells)[-1]),
-            float(cumulative_reward(problem.score, cells, problem.gamma)[-1]),
+    return [
+        Problem(
+            score,
+            plan.start,
+            Budget(plan.budget.cells, 1.0 if plan.budget.unit == "steps" else float(np.sqrt(2.0))),
+            connectivity=plan.connectivity,
+            objective=plan.objective,
+            gamma=plan.gamma,
+            end=plan.start if plan.return_home else plan.end,
         )
-        for cells in walks
+        for plan in team
     ]
-    bounds = task_bounds(problem, max(score for score, _ in found), max(discounted for _, discounted in found))
+
+
+def _valued(problems: Sequence[Problem], teams: list[_Walks]) -> tuple[list[Worth], tuple[float, float]]:
+    """Value walks of one task; the bounds in the plans may be of another map, or of nobody, so they are not used."""
+    score, gamma = problems[0].score, problems[0].gamma
+    found = [
+        (float(team_reward(score, walks)[1][-1]), float(team_reward(score, walks, gamma)[1][-1])) for walks in teams
+    ]
+    bounds = task_bounds(problems, max(score for score, _ in found), max(discounted for _, discounted in found))
     shares = [[value / bound if bound > 0 else 1.0 for value, bound in zip(f, bounds, strict=True)] for f in found]
     return [Worth(*values, *share) for values, share in zip(found, shares, strict=True)], bounds
 
@@ -225,26 +249,28 @@ def _ticker(progress: Progress, total: int) -> Callable[[], None]:
 
 
 def _chart(
-    problem: Problem,
-    plan: PlanDocument,
+    problems: Sequence[Problem],
+    team: Sequence[PlanDocument],
     scoremap: Scoremap,
-    given: dict[str, NDArray[np.integer]],
-    walks: dict[str, NDArray[np.integer]],
+    given: dict[str, _Walks],
+    walks: dict[str, _Walks],
     bounds: tuple[float, float],
 ) -> RewardChart:
+    problem, plan = problems[0], team[0]
     unit, scale = _unit(plan, scoremap)
     discounted = problem.objective == "discounted"
     gamma = problem.gamma if discounted else 1.0
 
-    def curve(name: str, role: Literal["plan", "planner", "baseline"], cells: NDArray[np.integer]) -> Curve:
-        travelled = distance_travelled(cells, problem.budget.diagonal_cost) * scale
-        return Curve(name, role, travelled, cumulative_reward(problem.score, cells, gamma))
+    def curve(name: str, role: Literal["plan", "planner", "baseline"], walks: _Walks) -> Curve:
+        travelled, reward = team_reward(problem.score, walks, gamma, problem.budget.diagonal_cost)
+        return Curve(name, role, travelled * scale, reward)
 
     row, col = problem.start
+    where = f"from cell {row},{col}{_home(plan)}" if len(team) == 1 else f"for each of {len(team)} robots"
     return RewardChart(
-        f"cumulative reward, {_budget(plan)} from cell {row},{col}{_home(plan)}",
+        f"cumulative reward, {_budget(plan)} {where}",
         unit,
-        problem.limit * scale,
+        max(each.limit for each in problems) * scale,
         discounted,
         bounds[1 if discounted else 0],
         [curve(name, "plan", cells) for name, cells in given.items()]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -77,11 +78,41 @@ def cumulative_reward(score: NDArray[np.floating], cells: NDArray[np.integer], g
     -------
     ndarray, float64 [T + 1]
     """
-    rows, cols = np.asarray(cells).T
-    first = np.unique(rows.astype(np.int64) * score.shape[1] + cols, return_index=True)[1]
-    gain = np.zeros(rows.size)
-    gain[first] = score[rows[first], cols[first]]
-    return np.asarray(np.cumsum(gain * gamma ** np.arange(rows.size)))
+    return team_reward(score, [cells], gamma)[1]
+
+
+def team_reward(
+    score: NDArray[np.floating], walks: Sequence[NDArray[np.integer]], gamma: float = 1.0, diagonal_cost: float = 1.0
+) -> tuple[Floats, Floats]:
+    """Return what robots that set out together have collected by the time each of them has gone so far.
+
+    A cell pays once, to the robot that is there first, by the number of steps; among several the first of `walks`.
+
+    Parameters
+    ----------
+    score : ndarray, float [rows, cols]
+        Score of each cell; finite where the walks go.
+    walks : sequence of ndarray, int [T + 1, 2]
+        Row and column of every cell of each robot's walk, start first.
+    gamma : float
+        Discount per step, in (0, 1].
+    diagonal_cost : float
+        See `distance_travelled`.
+
+    Returns
+    -------
+    travelled, reward : ndarray, float64 [k]
+        Distances in units of one cell, never falling from 0, and the reward within each.
+    """
+    step = np.concatenate([np.arange(len(cells)) for cells in walks])
+    order = np.argsort(step, kind="stable")
+    step, cells = step[order], np.concatenate([np.asarray(cells) for cells in walks])[order]
+    first = np.unique(cells[:, 0].astype(np.int64) * score.shape[1] + cells[:, 1], return_index=True)[1]
+    gain = np.zeros(step.size)
+    gain[first] = score[cells[first, 0], cells[first, 1]] * gamma ** step[first]
+    travelled = np.concatenate([distance_travelled(cells, diagonal_cost) for cells in walks])[order]
+    by_distance = np.argsort(travelled, kind="stable")
+    return travelled[by_distance], np.cumsum(gain[by_distance])
 
 
 def distance_travelled(cells: NDArray[np.integer], diagonal_cost: float = 1.0) -> Floats:

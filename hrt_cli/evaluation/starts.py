@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from typing import TypeVar
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from hrt_cli.errors import ArgumentError
 from hrt_cli.evaluation.rewards import Floats, cumulative_reward, distance_travelled, reward_at
-from hrt_cli.planning.planner import bound_of, find_walk
+from hrt_cli.planning.planner import bound_of, find_walks
 from hrt_cli.planning.problem import Problem
 
 RESAMPLES = 2000
@@ -177,7 +177,7 @@ def compare_over_starts(
         score[which], discounted[which] = run.score, run.discounted
         curves[which[0]] += run.curves / seeds
     found = _each(
-        lambda index: task_bounds(problems[index], score[index].max(), discounted[index].max()),
+        lambda index: task_bounds([problems[index]], score[index].max(), discounted[index].max()),
         range(len(problems)),
         workers,
         tick,
@@ -201,9 +201,9 @@ def compare_over_starts(
     )
 
 
-def task_bounds(problem: Problem, score: float, discounted: float) -> tuple[float, float]:
-    """Return proven bounds on the score and on the discounted score, given the best known of each."""
-    bounds = bound_of([problem], float(score), float(discounted))
+def task_bounds(problems: Sequence[Problem], score: float, discounted: float) -> tuple[float, float]:
+    """Return proven bounds on a team's score and discounted score, given the best known of each."""
+    bounds = bound_of(problems, float(score), float(discounted))
     return bounds.score, bounds.score if bounds.discounted is None else bounds.discounted
 
 
@@ -225,7 +225,7 @@ def spread(values: Floats, resamples: NDArray[np.int64]) -> Spread:
 def _run(problem: Problem, methods: tuple[str, ...], seed: int, at: Floats) -> _Run:
     score, discounted, curves = [], [], []
     for method in methods:
-        cells = find_walk(problem, method, seed=seed)
+        cells = find_walks([problem], method, seed=seed)[0]
         reward = cumulative_reward(problem.score, cells)
         paid = cumulative_reward(problem.score, cells, problem.gamma)
         score.append(reward[-1])

@@ -8,6 +8,8 @@ relaxation of the budget, a prize-collecting path over rich regions (`regions`).
 from __future__ import annotations
 
 import heapq
+import math
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -216,15 +218,16 @@ def _trace(
             cell = best
 
 
-def _first_prices(field: Field, cells: int, gamma: float) -> NDArray[np.float64]:
+def _first_prices(field: Field, cells: int, robots: int, gamma: float) -> NDArray[np.float64]:
     """Return the prices at which the best `cells` cells, the richest first, are content with a time slot each.
 
     They are the duals of that assignment: max(q - tau, 0) where nothing is discounted, tau being the next cell's value.
+    Every moment has a slot for each of `robots`.
     """
     ranked = np.argsort(-np.where(field.free, field.value, -1.0), kind="stable")[: cells + 1]
     ranked = ranked[field.free[ranked]]
     value = field.value[ranked]
-    discount = gamma ** np.arange(cells + 1)
+    discount = gamma ** (np.arange(cells + 1) // robots)
     beyond = value[cells] if value.size > cells else 0.0
     value = value[:cells]
     following = np.append(value[1:], beyond)
@@ -247,21 +250,23 @@ def _best_end(field: Field, layers: NDArray[np.float64]) -> tuple[int, int]:
 
 
 def lagrangian_bound(
-    field: Field, known: float, gamma: float = 1.0, iterations: int = 100
+    fields: Sequence[Field], joint: Field, known: float, gamma: float = 1.0, iterations: int = 100
 ) -> tuple[float, NDArray[np.float64]]:
     """Return the smallest Lagrangian bound met in `iterations` subgradient steps, and one for every horizon.
 
-    For prices u >= 0, no walk collects more than sum(u) + max over walks of sum_t max(gamma^t q - u, 0) along the
-    walk: "a cell pays once" is relaxed and u is what a repeated visit forgoes. The steps follow the volume
-    algorithm (Barahona and Anbil 2000): Polyak's length from the best prices so far, along the running mean of
-    visits, from the prices of the assignment of the best cells to time slots.
+    For prices u >= 0, no walks collect more than sum(u) + sum over robots of the maximum over walks of
+    sum_t max(gamma^t q - u, 0) along the walk: "a cell pays once" is relaxed and u is what a repeated visit forgoes.
+    The steps follow the volume algorithm (Barahona and Anbil 2000): Polyak's length from the best prices so far, along
+    the running mean of visits, from the prices of the assignment of the best cells to time slots.
 
     Parameters
     ----------
-    field : Field
-        The reachable window.
+    fields : sequence of Field
+        One per robot, on the same window.
+    joint : Field
+        The window with every cell that some robot can enter.
     known : float
-        (Discounted) score of a walk that exists, the target of the steps; it does not affect validity.
+        (Discounted) score of walks that exist, the target of the steps; it does not affect validity.
     gamma : float
         Discount per move; 1 bounds the plain score.
     iterations : int
@@ -272,34 +277,47 @@ def lagrangian_bound(
     bound : float
         The bound; inf where the relaxation would not fit memory (see `MAX_LAYER_CELLS`).
     profile : ndarray, float64 [T + 1]
-        Bounds on what the first 0..T moves collect, discounted alike.
+        Bounds on what the first 0..T moves of each robot collect, discounted alike.
     """
-    cells = capacity(field)
+    cells = max(capacity(field) for field in fields)
     profile = np.full(cells, np.inf)
-    if iterations < 1 or field.free.size * cells > MAX_LAYER_CELLS:
+    if iterations < 1 or joint.free.size * cells > MAX_LAYER_CELLS:
         return float("inf"), profile
-    layers = np.empty((cells, field.free.size))
-    price = centre = _first_prices(field, cells, gamma)
-    visits = np.zeros(field.free.size)
+    # Robots that start alike have the same best walk.
+    alike = Counter((field.start, field.end, field.limit) for field in fields)
+    by_task = {(field.start, field.end, field.limit): field for field in fields}
+    groups = [(by_task[task], count) for task, count in alike.items()]
+    layers = np.empty((cells, joint.free.size))
+    slots = sum(capacity(field) for field in fields)
+    price = centre = _first_prices(joint, slots, len(fields), gamma)
+    visits, walk = np.zeros(joint.free.size), np.zeros(joint.free.size)
     mean = np.zeros(0)
     best, step, stale = float("inf"), FIRST_STEP, 0
     for _ in range(iterations):
-        _fill_layers(layers, field.offsets, field.width, field.start, field.value, price, field.free, gamma)
-        end, last = _best_end(field, layers)
-        bound = float(price.sum() + layers[end, last])
-        profile = np.minimum(profile, price.sum() + np.maximum.accumulate(layers.max(axis=1)))
-        _trace(layers[: end + 1], field.offsets, last, field.value, price, gamma, visits)
+        bound, early = float(price.sum()), np.full(cells, price.sum())
+        visits[:] = 0.0
+        for field, count in groups:
+            mine = layers[: capacity(field)]
+            _fill_layers(mine, field.offsets, field.width, field.start, joint.value, price, field.free, gamma)
+            end, last = _best_end(field, mine)
+            bound += count * float(mine[end, last])
+            reached = np.maximum.accumulate(mine.max(axis=1))
+            early[: reached.size] += count * reached
+            early[reached.size :] += count * reached[-1]
+            _trace(mine[: end + 1], field.offsets, last, joint.value, price, gamma, walk)
+            visits += count * walk
+        profile = np.minimum(profile, early)
         mean = MEMORY * mean + (1.0 - MEMORY) * visits if mean.size else visits.copy()
         if bound < best:
             best, centre, stale, step = bound, price, 0, step * STEP_GROWTH
         else:
             stale += 1
             step *= STEP_SHRINK if stale % PATIENCE == 0 else 1.0
-        slope = np.where(field.free & ((centre > 0.0) | (mean > 1.0)), 1.0 - mean, 0.0)
+        slope = np.where(joint.free & ((centre > 0.0) | (mean > 1.0)), 1.0 - mean, 0.0)
         steepness = float(slope @ slope)
         if steepness == 0.0 or best <= known:
             break
-        price = np.clip(centre - step * (best - known) / steepness * slope, 0.0, field.value)
+        price = np.clip(centre - step * (best - known) / steepness * slope, 0.0, joint.value)
     return best * (1.0 + ROUNDING), profile * (1.0 + ROUNDING)
 
 
@@ -343,18 +361,19 @@ def prove_bounds(
     gamma : float, optional
         Discount per move; without it the discounted score is not bounded.
     iterations : int
-        Subgradient steps of the Lagrangian relaxation of "a cell pays once"; shared by the two scores.
+        Subgradient steps of the Lagrangian relaxation of "a cell pays once"; shared by the two scores, and fewer for
+        teams of more than two.
     """
     slots = scheduling_profile(fields, joint)
     score = min([float(slots[-1]), *(cut.bound() for cut in cuts)]) * (1.0 + ROUNDING)
-    single = len(fields) == 1
-    if single and joint.end >= 0:
+    if len(fields) == 1 and joint.end >= 0:
         score = min(score, scheduling_bound(joint))
     walks: list[NDArray[np.float64]] = []
     if gamma is not None and gamma != 1.0:
         iterations = (iterations + 1) // 2
-    if single and (score > known or gamma is not None):
-        bound, profile = lagrangian_bound(joint, known, 1.0, iterations)
+    iterations = math.ceil(iterations * min(1.0, 2.0 / len(fields)))
+    if score > known or gamma is not None:
+        bound, profile = lagrangian_bound(fields, joint, known, 1.0, iterations)
         score = min(score, bound)
         walks.append(profile)
     if gamma is None or gamma == 1.0:
@@ -365,6 +384,6 @@ def prove_bounds(
     # What fewer moves collect, more moves do too: the other way round a bound on more bounds fewer.
     least = np.minimum.accumulate(least[::-1])[::-1]
     discounted = discounted_sum(least, gamma) * (1.0 + ROUNDING)
-    if single and discounted > known_discounted:
-        discounted = min(discounted, lagrangian_bound(joint, known_discounted, gamma, iterations)[0])
+    if discounted > known_discounted:
+        discounted = min(discounted, lagrangian_bound(fields, joint, known_discounted, gamma, iterations)[0])
     return Bounds(max(score, known), max(discounted, known_discounted))

@@ -15,7 +15,7 @@ from hrt_cli.errors import ArgumentError
 from hrt_cli.planning import baselines
 from hrt_cli.planning.bounds import Bounds, prove_bounds
 from hrt_cli.planning.features import build_blocks
-from hrt_cli.planning.policy import Policy, default_policy, roll_best, roll_many
+from hrt_cli.planning.policy import Policy, default_policies, roll_best, roll_many
 from hrt_cli.planning.problem import Plan, Problem, TeamPlan
 from hrt_cli.planning.refine import COLDEST, HOTTEST, TIE, anneal, widen
 from hrt_cli.planning.regions import Cut, cut_regions, follow
@@ -144,7 +144,7 @@ class _Bench:
 def plan(
     problem: Problem,
     method: str = "refined",
-    policy: Policy | None = None,
+    policies: Sequence[Policy] | None = None,
     effort: float = 1.0,
     samples: int = 256,
     seed: int = 0,
@@ -158,14 +158,14 @@ def plan(
         The map, the start and the budget.
     method : str
         One of `METHODS`. 'policy' takes the likeliest move each time, 'policy-sample' the best of `samples`
-        rollouts; 'refined' anneals the best walks of the policy, the rectangle and the greedy method, and tours of
+        rollouts; 'refined' anneals the best walks of the policies, the rectangle and the greedy method, and tours of
         the rich regions.
-    policy : Policy, optional
-        The policy of the methods that use one; the shipped one by default.
+    policies : sequence of Policy, optional
+        The policies of the methods that use any, which give the best walk of them all; the shipped ones by default.
     effort : float
         Multiplies the changes 'refined' proposes and the steps spent on the bound; > 0.
     samples : int
-        Rollouts sampled from the policy.
+        Rollouts sampled from the policies, shared out among them.
     seed : int
         Random seed, >= 0.
     progress : Progress
@@ -176,13 +176,13 @@ def plan(
     ArgumentError
         When the method is unknown, a number is out of its range, or the end cannot be reached.
     """
-    return plan_team([problem], method, policy, effort, samples, seed, progress).together
+    return plan_team([problem], method, policies, effort, samples, seed, progress).together
 
 
 def plan_team(
     problems: Sequence[Problem],
     method: str = "refined",
-    policy: Policy | None = None,
+    policies: Sequence[Policy] | None = None,
     effort: float = 1.0,
     samples: int = 256,
     seed: int = 0,
@@ -196,7 +196,7 @@ def plan_team(
     _check_arguments(problems, method, effort, samples, seed)
     started = time.perf_counter()
     bench = _Bench(problems)
-    chosen = default_policy() if policy is None else policy
+    chosen = _chosen(policies)
     progress(0, 4)
     discounted = problems[0].objective == "discounted"
     cuts = _cuts(bench, problems[0])
@@ -292,26 +292,27 @@ def bound_of(problems: Sequence[Problem], score: float, discounted_score: float 
     return prove_bounds(bench.fields, bench.joint, cuts, score, gamma, discounted_score or 0.0, BOUND_ITERATIONS)
 
 
-def find_walk(
-    problem: Problem,
+def find_walks(
+    problems: Sequence[Problem],
     method: str = "refined",
-    policy: Policy | None = None,
+    policies: Sequence[Policy] | None = None,
     effort: float = 1.0,
     samples: int = 256,
     seed: int = 0,
-) -> NDArray[np.int32]:
-    """Return the cells, int32 [T + 1, 2], of the walk that `plan` makes, without the time its bounds take.
+) -> list[NDArray[np.int32]]:
+    """Return the cells, int32 [T + 1, 2], of the walks that `plan_team` makes, without the time its bounds take.
 
     Raises
     ------
     ArgumentError
-        As `plan`.
+        As `plan_team`.
     """
-    _check_arguments([problem], method, effort, samples, seed)
-    bench = _Bench([problem])
-    chosen = default_policy() if policy is None else policy
-    cuts = _cuts(bench, problem) if method == "refined" else []
-    return to_cells(bench.joint, _walks(bench, method, chosen, cuts, effort, samples, seed, silent)[0])
+    _check_arguments(problems, method, effort, samples, seed)
+    bench = _Bench(problems)
+    chosen = _chosen(policies)
+    cuts = _cuts(bench, problems[0]) if method == "refined" else []
+    team = _walks(bench, method, chosen, cuts, effort, samples, seed, silent)
+    return [to_cells(bench.joint, walk) for walk in team]
 
 
 def _cuts(bench: _Bench, problem: Problem) -> list[Cut]:
@@ -326,7 +327,7 @@ def _gap(value: float, bound: float) -> float:
 def _walks(
     bench: _Bench,
     method: str,
-    policy: Policy,
+    policies: Sequence[Policy],
     cuts: Sequence[Cut],
     effort: float,
     samples: int,
@@ -340,14 +341,14 @@ def _walks(
         "lawnmower": lambda field: baselines.lawnmower(field, seed),
         "spiral": lambda field: baselines.spiral(field, seed),
         "random": lambda field: baselines.random_walk(field, seed),
-        "policy": lambda field: _likeliest(field, policy, seed),
-        "policy-sample": lambda field: _sampled(bench, field, policy, samples, seed)[0],
+        "policy": lambda field: _ranked(bench, field, _likeliest(field, policies, seed))[0],
+        "policy-sample": lambda field: _sampled(bench, field, policies, samples, seed)[0],
     }
     if method in walkers:
         return bench.in_turn(walkers[method])
     teams = [bench.in_turn(walkers[name]) for name in ("policy", "rectangle", "greedy")]
     if len(bench.fields) == 1:
-        teams += [[walk] for walk in _sampled(bench, bench.joint, policy, samples, seed)[:POLICY_WALKS]]
+        teams += [[walk] for walk in _sampled(bench, bench.joint, policies, samples, seed)[:POLICY_WALKS]]
     else:
         teams.append(bench.in_turn(walkers["policy-sample"]))
     horizon = None if gamma == 1.0 else min(bench.cells - 1, math.ceil(1.0 / (1.0 - gamma)))
@@ -357,18 +358,36 @@ def _walks(
     return _refine(bench, teams, effort, seed)
 
 
-def _likeliest(field: Field, policy: Policy, seed: int) -> Walk:
-    path, n = roll_best(field, build_blocks(field, policy.layout), policy.weights, seed)
-    return np.asarray(path[:n])
+def _chosen(policies: Sequence[Policy] | None) -> Sequence[Policy]:
+    chosen = default_policies() if policies is None else policies
+    if not chosen:
+        raise ArgumentError("at least one policy is needed")
+    return chosen
 
 
-def _sampled(bench: _Bench, field: Field, policy: Policy, samples: int, seed: int) -> list[Walk]:
+def _likeliest(field: Field, policies: Sequence[Policy], seed: int) -> list[Walk]:
+    """Return the walk of each policy that takes its likeliest move each time."""
+    walks = []
+    for policy in policies:
+        path, n = roll_best(field, build_blocks(field, policy.layout), policy.weights, seed)
+        walks.append(np.asarray(path[:n]))
+    return walks
+
+
+def _sampled(bench: _Bench, field: Field, policies: Sequence[Policy], samples: int, seed: int) -> list[Walk]:
     """Return sampled rollouts and the likeliest, the best first."""
     count = min(samples, max(8, int(MOST_SAMPLED_MOVES / field.limit)))
-    blocks = build_blocks(field, policy.layout)
-    paths, lengths = roll_many(field, blocks, policy.weights, count, seed)
-    walks = [paths[i, : lengths[i]] for i in range(count)] + [_likeliest(field, policy, seed)]
+    walks = _likeliest(field, policies, seed)
+    for index, policy in enumerate(policies):
+        share = len(range(index, count, len(policies)))
+        paths, lengths = roll_many(field, build_blocks(field, policy.layout), policy.weights, share, seed)
+        walks += [paths[i, : lengths[i]] for i in range(share)]
     bench.evaluations += count
+    return _ranked(bench, field, walks)
+
+
+def _ranked(bench: _Bench, field: Field, walks: Sequence[Walk]) -> list[Walk]:
+    """Return walks of one robot, the best first."""
     seen = np.zeros(field.free.size, np.bool_)
     values = np.array([walk_value(field.value, walk, walk.size, bench.gamma, seen) for walk in walks])
     return [walks[i] for i in np.argsort(-values, kind="stable")]

@@ -31,7 +31,8 @@ from hrt_cli.planning.features import (
 from hrt_cli.planning.jit import kernel, lean_kernel, lean_sums
 from hrt_cli.planning.walk import Field, capacity, may_step, next_uniform
 
-DEFAULT_POLICY_FILE = "default_policy.npz"
+DEFAULT_POLICY_FILES = ("default_policy_network.npz", "default_policy_manjanna24.npz")
+"""The policies that ship with the package: one sees more of what is near, the other to the edges of the map."""
 
 RecipeValue = str | int | float
 LANES = 32
@@ -119,19 +120,23 @@ def _parse(text: str) -> RecipeValue:
     raise ValueError(f"not a policy: recipe value {text!r} has no known type")
 
 
-def default_policy() -> Policy:
-    """Return the policy that ships with the package, trained by `train` with its default recipe."""
-    with np.load(io.BytesIO(_default_policy_bytes()), allow_pickle=False) as arrays:
+def default_policies() -> tuple[Policy, ...]:
+    """Return the policies that ship with the package, trained by `train` with its default recipe but for the layout."""
+    return tuple(_read_shipped(name) for name in DEFAULT_POLICY_FILES)
+
+
+def default_policies_sha256() -> str:
+    """Return the hash of the shipped policies' files, by which a plan records what made it."""
+    return hashlib.sha256(b"".join(map(_shipped_bytes, DEFAULT_POLICY_FILES))).hexdigest()
+
+
+def _read_shipped(name: str) -> Policy:
+    with np.load(io.BytesIO(_shipped_bytes(name)), allow_pickle=False) as arrays:
         return Policy.from_arrays({name: arrays[name] for name in arrays.files})
 
 
-def default_policy_sha256() -> str:
-    """Return the hash of the shipped policy's file, by which a plan records what made it."""
-    return hashlib.sha256(_default_policy_bytes()).hexdigest()
-
-
-def _default_policy_bytes() -> bytes:
-    return resources.files("hrt_cli.planning").joinpath(DEFAULT_POLICY_FILE).read_bytes()
+def _shipped_bytes(name: str) -> bytes:
+    return resources.files("hrt_cli.planning").joinpath(name).read_bytes()
 
 
 @lean_sums

@@ -15,7 +15,7 @@ from hrt_cli.artifacts.jsonio import read_model
 from hrt_cli.artifacts.stage import REFUSE, Existing, begin
 from hrt_cli.errors import ArgumentError, InputError
 from hrt_cli.planning.planner import MOST_ROBOTS, plan_team, plans_alone
-from hrt_cli.planning.policy import Policy, default_policy_sha256
+from hrt_cli.planning.policy import Policy, default_policies_sha256
 from hrt_cli.planning.problem import Plan, Problem, TeamPlan
 from hrt_cli.planning.request import Spending, Start, budget_in_cells, start_cell
 from hrt_cli.planning.resume import Driven, read_driven
@@ -24,7 +24,7 @@ from hrt_cli.raster.grid import Grid
 from hrt_cli.raster.scoremap import Scoremap, read_scoremap
 
 STAGE = "plan"
-STAGE_VERSION = 2
+STAGE_VERSION = 3
 
 
 @dataclass(frozen=True)
@@ -85,7 +85,7 @@ def plan_file(
     output: Path,
     request: PlanRequest,
     *,
-    policy_path: Path | None = None,
+    policy_paths: tuple[Path, ...] = (),
     visited: tuple[Path, ...] = (),
     existing: Existing = REFUSE,
     progress: Progress = silent,
@@ -99,21 +99,22 @@ def plan_file(
     Raises
     ------
     InputError
-        The scoremap, the policy or a log cannot be used.
+        The scoremap, a policy or a log cannot be used.
     ArgumentError
         The request does not fit the map: a start outside it or on a no-go cell, a budget of nothing.
     OutputError
         See `hrt_cli.artifacts.stage.begin`.
     """
     _check_counts(request, visited)
-    inputs = {"scoremap": scoremap_path} | ({"policy": policy_path} if policy_path else {})
+    inputs = {"scoremap": scoremap_path}
+    inputs |= {f"policy/{index}": path for index, path in enumerate(policy_paths)}
     inputs |= {f"visited/{index}": path for index, path in enumerate(visited)}
     files = [output] if request.robots == 1 else [robot_path(output, robot) for robot in range(request.robots)]
     job = begin(
         STAGE,
         STAGE_VERSION,
         inputs=inputs,
-        parameters=_parameters(request, policy_path),
+        parameters=_parameters(request, policy_paths),
         outputs=dict.fromkeys([*files, output] if request.robots > 1 else files, json_provenance),
         existing=existing,
     )
@@ -122,7 +123,7 @@ def plan_file(
         whole = robots[0] if request.robots == 1 else read_model(output, artifact.TeamPlanDocument)
         return Planned(True, whole, robots, 0.0, [])
     scoremap = read_scoremap(scoremap_path)
-    policy = read_policy(policy_path) if policy_path else None
+    policies = [read_policy(path) for path in policy_paths] or None
     driven = [read_driven(path, scoremap) for path in visited]
     try:
         problems, collected, blocked = _problems(scoremap, request, driven)
@@ -130,7 +131,7 @@ def plan_file(
         found = plan_team(
             problems,
             request.method,
-            policy=policy,
+            policies=policies,
             effort=request.effort,
             samples=request.samples,
             seed=request.seed,
@@ -243,10 +244,10 @@ def read_policy(path: Path) -> Policy:
         raise InputError(path, f"is not a usable policy: {error}") from error
 
 
-def _parameters(request: PlanRequest, policy_path: Path | None) -> dict[str, Any]:
+def _parameters(request: PlanRequest, policy_paths: tuple[Path, ...]) -> dict[str, Any]:
     budget = request.budget
     return {
-        "policy": "given" if policy_path else default_policy_sha256(),
+        "policy": "given" if policy_paths else default_policies_sha256(),
         "starts": [[start.kind, start.first, start.second] for start in request.starts],
         "ends": [[end.kind, end.first, end.second] for end in request.ends],
         "robots": request.robots,

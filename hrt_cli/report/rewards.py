@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from hrt_cli.artifacts.plan import team_members
 from hrt_cli.artifacts.png import png_provenance, publish_png
 from hrt_cli.artifacts.provenance import Provenance
 from hrt_cli.artifacts.stage import Existing, begin
@@ -130,7 +131,7 @@ def begin_figure(
     Parameters
     ----------
     scoremap_path, plan_paths : Path
-        What the rewards are of.
+        What the rewards are of; a team's plan stands for its robots', which are inputs too.
     output : Path
         The PNG to write.
     parameters : dict
@@ -144,10 +145,13 @@ def begin_figure(
         An input is missing; see `hrt_cli.artifacts.stage.begin`.
     """
     labels = _labels(plan_paths)
+    inputs = {"scoremap": scoremap_path} | {f"plan/{index}": path for index, path in enumerate(plan_paths)}
+    for role, path in list(inputs.items())[1:]:
+        inputs |= {f"{role}/{robot}": member for robot, member in enumerate(team_members(path))}
     job = begin(
         "figure-rewards",
         STAGE_VERSION,
-        inputs={"scoremap": scoremap_path} | {f"plan/{index}": path for index, path in enumerate(plan_paths)},
+        inputs=inputs,
         parameters=parameters | {"labels": list(labels.values())},
         outputs={output: png_provenance},
         existing=existing,

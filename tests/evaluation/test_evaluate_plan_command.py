@@ -112,3 +112,38 @@ def test_too_many_starts_are_one_refusal(site: tuple[Path, Path]) -> None:
     refused = run(*site, "--starts", 900)
     assert isinstance(refused.exception, HrtError)
     assert "only 476 cells" in str(refused.exception)
+
+
+def test_a_team_is_valued_together(site: tuple[Path, Path], tmp_path: Path) -> None:
+    scoremap, team, figure = site[0], tmp_path / "team.json", tmp_path / "f.png"
+    starts = tuple(parse_start(text) for text in ("cell:3,4", "cell:9,9"))
+    made = plan_file(scoremap, team, PlanRequest(starts, parse_budget("25"), method="greedy", robots=2))
+    found = json.loads(run(scoremap, team, "--figure", figure, "--json").stdout)
+    worth = found["plans"][str(team)]
+    assert worth["score"] == pytest.approx(made.document.score)
+    assert worth["discounted_score"] == pytest.approx(made.document.discounted_score)
+    assert found["baselines"]["greedy"] == worth
+    assert found["planner"]["refined"]["score"] >= worth["score"]
+    assert worth["fraction_of_bound"] <= found["planner"]["refined"]["fraction_of_bound"] <= 1
+    alone = [json.loads(run(scoremap, tmp_path / f"team-{k}.json", "--no-planner", "--json").stdout) for k in (1, 2)]
+    assert found["upper_bound"] <= sum(each["upper_bound"] for each in alone) * (1 + 1e-9)
+
+    made_before = png_provenance(figure)
+    assert made_before is not None
+    assert {each.role for each in made_before.inputs} == {"scoremap", "plan/0", "plan/0/0", "plan/0/1"}
+    for wrong, message in (
+        (run(scoremap, team, "--starts", 2), "one robot"),
+        (run(scoremap, team, tmp_path / "team-1.json"), "another start"),
+    ):
+        assert isinstance(wrong.exception, HrtError)
+        assert message in str(wrong.exception)
+
+
+def test_a_team_whose_robots_were_planned_apart_is_refused(site: tuple[Path, Path], tmp_path: Path) -> None:
+    scoremap, team = site[0], tmp_path / "team.json"
+    start = (parse_start("cell:3,4"),)
+    plan_file(scoremap, team, PlanRequest(start, parse_budget("25"), method="greedy", robots=2))
+    (tmp_path / "team-2.json").unlink()
+    assert "team-2.json" in str(run(scoremap, team).exception)
+    plan_file(scoremap, tmp_path / "team-2.json", PlanRequest(start, parse_budget("25"), "greedy", gamma=0.5))
+    assert "differ in more" in str(run(scoremap, team).exception)

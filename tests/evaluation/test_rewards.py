@@ -8,7 +8,7 @@ import math
 import numpy as np
 import pytest
 
-from hrt_cli.evaluation.rewards import cumulative_reward, distance_travelled, reward_at
+from hrt_cli.evaluation.rewards import cumulative_reward, distance_travelled, reward_at, team_reward
 
 
 def wandering(rng: np.random.Generator, steps: int, shape: tuple[int, int]) -> list[tuple[int, int]]:
@@ -34,6 +34,26 @@ def test_each_cell_pays_once_when_it_is_first_entered(gamma: float, seed: int) -
         expected.append(total)
     assert len(paid) < len(cells)
     assert cumulative_reward(score, np.array(cells), gamma) == pytest.approx(expected, rel=1e-12)
+
+
+@pytest.mark.parametrize("gamma", [1.0, 0.9])
+@pytest.mark.parametrize("diagonal", [1.0, math.sqrt(2)])
+def test_of_a_team_a_cell_pays_who_is_there_first(gamma: float, diagonal: float) -> None:
+    rng = np.random.default_rng(11)
+    score = rng.random((6, 9)).astype(np.float32)
+    walks = [wandering(rng, steps, score.shape) for steps in (20, 35, 5)]  # type: ignore[arg-type]
+    travelled, reward = team_reward(score, [np.array(cells) for cells in walks], gamma, diagonal)
+    gains, paid = [], set()
+    for step in range(36):
+        for cells in walks:
+            if step < len(cells):
+                way = distance_travelled(np.array(cells), diagonal)[step]
+                gains.append((way, 0.0 if cells[step] in paid else gamma**step * float(score[cells[step]])))
+                paid.add(cells[step])
+    for at in (0.0, 3.5, 12.0, 60.0):
+        expected = sum(gain for way, gain in gains if way <= at + 1e-9)
+        assert reward_at(np.array([at]), travelled, reward)[0] == pytest.approx(expected, rel=1e-12)
+    assert len(reward) == sum(map(len, walks))
 
 
 @pytest.mark.parametrize("diagonal", [1.0, math.sqrt(2)])

@@ -9,7 +9,7 @@ from scipy import stats
 from hrt_cli.errors import ArgumentError
 from hrt_cli.evaluation.rewards import cumulative_reward, distance_travelled
 from hrt_cli.evaluation.starts import RESAMPLES, compare_over_starts, draw_starts, spread
-from hrt_cli.planning.planner import bound_of, find_walk, plan
+from hrt_cli.planning.planner import bound_of, find_walks, plan
 from hrt_cli.planning.problem import Budget, Problem
 
 QUICK = ("policy", "greedy", "random")
@@ -134,6 +134,6 @@ def test_a_map_of_nothing_is_wholly_collected() -> None:
 def test_a_walk_is_found_without_its_bounds() -> None:
     problem = Problem(np.random.default_rng(2).random((8, 8)), (4, 4), Budget(12), objective="discounted")
     for method in (*QUICK, "refined"):
-        assert np.array_equal(find_walk(problem, method, seed=3), plan(problem, method, seed=3).cells)
+        assert np.array_equal(find_walks([problem], method, seed=3)[0], plan(problem, method, seed=3).cells)
     with pytest.raises(ArgumentError, match="unknown method"):
-        find_walk(problem, "sweep")
+        find_walks([problem], "sweep")

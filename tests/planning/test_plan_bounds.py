@@ -36,8 +36,8 @@ def test_no_walk_beats_the_bounds(problem):
     assert bounds.discounted >= early
     assert scheduling_bound(field) >= best
     assert scheduling_bound(field, problem.gamma) >= early
-    assert lagrangian_bound(field, 0.9 * best, 1.0, 30)[0] >= best
-    assert lagrangian_bound(field, 0.9 * early, problem.gamma, 30)[0] >= early
+    assert lagrangian_bound([field], field, 0.9 * best, 1.0, 30)[0] >= best
+    assert lagrangian_bound([field], field, 0.9 * early, problem.gamma, 30)[0] >= early
     assert min(cut.bound() for cut in cuts) >= best * (1 - 1e-9)
 
 
@@ -47,7 +47,7 @@ def test_no_first_moves_beat_the_profiles(problem):
     """What n moves can collect, for every n up to the budget."""
     fields, joint = join_fields([build_field(problem)])
     moves = capacity(joint) - 1
-    profiles = [scheduling_profile(fields, joint), lagrangian_bound(joint, 0.0, 1.0, 10)[1]]
+    profiles = [scheduling_profile(fields, joint), lagrangian_bound(fields, joint, 0.0, 1.0, 10)[1]]
     profiles += [cut.profile(moves) for cut in cut_regions(fields, joint, early=True)]
     if problem.end is not None:
         return
@@ -83,6 +83,19 @@ def test_no_team_beats_its_bounds(problem, seed):
         for two in collectable(team[1])
     )
     assert bounds.score >= best * (1 - 1e-12)
+    assert lagrangian_bound(fields, joint, 0.9 * best, 1.0, 20)[0] >= best * (1 - 1e-12)
+
+
+def test_a_team_is_bounded_no_worse_than_its_robots_alone_where_they_cannot_meet():
+    score = np.random.default_rng(4).random((3, 60))
+    ends = [Problem(score, start, Budget(12.0)) for start in ((1, 2), (1, 57))]
+    fields, joint = join_fields([build_field(each) for each in ends])
+    alone = [lagrangian_bound([field], field, 0.0, 1.0, 60)[0] for field in map(build_field, ends)]
+    together, profile = lagrangian_bound(fields, joint, 0.0, 1.0, 60)
+    assert together == pytest.approx(sum(alone), rel=0.03)
+    assert profile[0] >= score[1, 2] + score[1, 57]
+    twice = lagrangian_bound([build_field(ends[0])] * 2, build_field(ends[0]), 0.0, 1.0, 60)[0]
+    assert alone[0] < twice < 2 * alone[0]
 
 
 def test_the_regions_tell_spots_that_exclude_each_other():
@@ -149,19 +162,19 @@ def test_lagrangian_bound_sees_that_far_clusters_exclude_each_other():
     score[0, ::4] = 1.0
     field = build_field(Problem(score, (0, 20), Budget(20.0)))
     assert scheduling_bound(field) == pytest.approx(10.0)
-    assert lagrangian_bound(field, 6.0, 1.0, 60)[0] < 9.0
+    assert lagrangian_bound([field], field, 6.0, 1.0, 60)[0] < 9.0
 
 
 def test_more_steps_never_loosen_the_bound():
     field = build_field(Problem(np.random.default_rng(0).random((20, 20)), (3, 3), Budget(60.0)))
-    bounds = [lagrangian_bound(field, 40.0, 1.0, n)[0] for n in (1, 10, 50)]
+    bounds = [lagrangian_bound([field], field, 40.0, 1.0, n)[0] for n in (1, 10, 50)]
     assert bounds == sorted(bounds, reverse=True)
 
 
 def test_the_relaxation_is_left_out_where_it_would_not_fit(monkeypatch):
     monkeypatch.setattr("hrt_cli.planning.bounds.MAX_LAYER_CELLS", 100)
     problem = Problem(np.ones((20, 20)), (3, 3), Budget(60.0))
-    assert lagrangian_bound(build_field(problem), 1.0)[0] == float("inf")
+    assert lagrangian_bound([build_field(problem)], build_field(problem), 1.0)[0] == float("inf")
     assert proven(problem)[0].score == pytest.approx(61.0)
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from hrt_cli.planning.features import LAYOUTS, build_blocks, weight_count
-from hrt_cli.planning.policy import Policy, default_policy, roll_best, roll_many
+from hrt_cli.planning.policy import Policy, default_policies, roll_best, roll_many
 from hrt_cli.planning.problem import Budget, Problem
 from hrt_cli.planning.train import explore
 from hrt_cli.planning.walk import build_field, to_cells
@@ -158,9 +158,9 @@ def test_actions_are_drawn_with_their_softmax_shares():
     assert share == pytest.approx(ahead / (ahead + 3.0), abs=0.03)
 
 
-def test_policy_turns_and_mirrors_with_the_map():
+@pytest.mark.parametrize("policy", default_policies(), ids=lambda policy: policy.layout)
+def test_policy_turns_and_mirrors_with_the_map(policy):
     score = np.random.default_rng(5).random((31, 31))
-    policy = default_policy()
 
     def walk(grid):
         field = build_field(Problem(grid, (15, 15), Budget(60.0)))
@@ -172,11 +172,12 @@ def test_policy_turns_and_mirrors_with_the_map():
     np.testing.assert_array_equal(walk(score.T.copy()), plain[:, ::-1])
 
 
-def test_rolling_leaves_the_blocks_as_they_were():
+@pytest.mark.parametrize("policy", default_policies(), ids=lambda policy: policy.layout)
+def test_rolling_leaves_the_blocks_as_they_were(policy):
     field = build_field(Problem(np.random.default_rng(0).random((20, 20)), (3, 3), Budget(50.0)))
-    blocks = build_blocks(field, default_policy().layout)
+    blocks = build_blocks(field, policy.layout)
     before = blocks.sums.copy()
-    roll_many(field, blocks, default_policy().weights, 3, 0)
+    roll_many(field, blocks, policy.weights, 3, 0)
     np.testing.assert_array_equal(blocks.sums, before)
 
 
@@ -215,8 +216,8 @@ def test_arrays_that_are_no_policy_are_refused(change):
         Policy.from_arrays(arrays)
 
 
-def test_default_policy_is_trained():
-    policy = default_policy()
-    assert policy.weights.any()
-    assert policy.recipe["maps"] == "generated"
-    assert policy.recipe["iterations"] >= 100
+def test_default_policies_are_trained():
+    for policy in default_policies():
+        assert policy.weights.any()
+        assert policy.recipe["maps"] == "generated"
+        assert policy.recipe["iterations"] >= 100

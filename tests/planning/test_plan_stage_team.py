@@ -76,8 +76,7 @@ def test_a_team_gets_a_plan_each_and_one_for_all(scoremap: Path, tmp_path: Path)
 def test_the_plan_of_a_team_is_not_taken_for_that_of_a_robot(scoremap: Path, tmp_path: Path) -> None:
     team = tmp_path / "team.json"
     run("plan", scoremap, "-o", team, "--start", "cell:3,3", "--budget", 20, "--robots", 3)
-    for words in (["export", team, "-o", tmp_path / "m.gpx"], ["evaluate", "plan", scoremap, team]):
-        assert "is the plan of a team: take the plans of its robots" in refusal(*words)
+    assert "is the plan of a team: take the plans of its robots" in refusal("export", team, "-o", tmp_path / "m.gpx")
     with pytest.raises(InputError, match="team-3"):
         read_plan(team)
 
@@ -202,3 +201,21 @@ def test_a_pocket_is_explained(tmp_path: Path) -> None:
     result = hrt("plan", tmp_path / "map.npz", "-o", tmp_path / "p.json", "--start", "cell:0,0", "--budget", 20)
     assert result.exit_code == 0
     assert "pocket of 9 cells that no-go cells cut off from the other 65" in result.stderr
+
+
+def test_policies_of_ones_own_are_part_of_what_made_a_plan(scoremap: Path, tmp_path: Path) -> None:
+    policies = [tmp_path / "first.npz", tmp_path / "second.npz"]
+    for policy, features in zip(policies, ("rings", "manjanna24"), strict=True):
+        trained = hrt(
+            "train-plan", scoremap, "-o", policy, "--features", features, "--iterations", 2,
+            "--maps-per-iteration", 1, "--rollouts", 2, "--budget", 20,
+        )  # fmt: skip
+        assert trained.exit_code == 0, trained.output
+    output = tmp_path / "plan.json"
+    task = ["plan", scoremap, "-o", output, "--start", "cell:3,3", "--budget", 30, "--method", "policy"]
+    alone = [run(*task, "--overwrite", "--policy", policy)["score"] for policy in policies]
+    both = run(*task, "--overwrite", "--policy", policies[0], "--policy", policies[1])
+    assert both["score"] == max(alone)
+    provenance = read_plan(output).provenance
+    assert provenance is not None
+    assert {each.role for each in provenance.inputs} == {"scoremap", "policy/0", "policy/1"}

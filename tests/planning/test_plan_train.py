@@ -84,7 +84,7 @@ def test_training_on_given_maps_and_the_other_layout():
     assert policy.recipe["maps"] == 3
     assert done == [(1, 3), (2, 3), (3, 3)]
     assert np.isfinite(curve).all()
-    assert plan(Problem(maps[0], (2, 2), Budget(20.0)), "policy", policy).score > 0
+    assert plan(Problem(maps[0], (2, 2), Budget(20.0)), "policy", [policy]).score > 0
 
 
 @pytest.mark.parametrize(
@@ -128,5 +128,5 @@ def test_families_are_seeded_and_in_range(family):
 
 def test_an_untrained_policy_walks_at_random():
     policy = Policy(np.zeros(40), "rings")
-    found = plan(Problem(np.ones((9, 9)), (4, 4), Budget(30.0)), "policy-sample", policy, samples=4)
+    found = plan(Problem(np.ones((9, 9)), (4, 4), Budget(30.0)), "policy-sample", [policy], samples=4)
     assert len(found.cells) == 31

@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
@@ -9,6 +11,7 @@ from plan_worlds import check_walk, discounted_score, optimum, total_score, worl
 from hrt_cli.errors import ArgumentError
 from hrt_cli.planning.families import FAMILIES, make_map
 from hrt_cli.planning.planner import METHODS, plan
+from hrt_cli.planning.policy import default_policies
 from hrt_cli.planning.problem import Budget, Problem
 
 RELAXED = {"deadline": None, "suppress_health_check": list(HealthCheck)}
@@ -51,6 +54,21 @@ def test_refined_is_never_below_its_seeds(problem):
     refined = made(problem, "refined")
     for method in ("greedy", "policy", "policy-sample", "rectangle"):
         assert refined >= made(problem, method) * (1 - 1e-12)
+
+
+@settings(max_examples=25, **RELAXED)
+@given(problem=worlds(), order=st.permutations(default_policies()))
+def test_of_several_policies_the_best_walk_counts(problem, order):
+    alone = [plan(problem, "policy", [policy], effort=0.05).score for policy in order]
+    discounted = replace(problem, objective="discounted")
+    early = [plan(discounted, "policy", [policy], effort=0.05).discounted_score for policy in order]
+    assert plan(problem, "policy", order, effort=0.05).score == max(alone)
+    assert plan(discounted, "policy", order, effort=0.05).discounted_score == max(early)
+
+
+def test_a_planner_without_a_policy_is_refused():
+    with pytest.raises(ArgumentError, match="at least one policy"):
+        plan(Problem(np.ones((3, 3)), (0, 0), Budget(3.0)), "policy", [])
 
 
 @settings(max_examples=40, **RELAXED)

@@ -18,7 +18,7 @@ from hrt_cli.report import rewards as drawn
 @pytest.fixture
 def files(tmp_path: Path) -> tuple[Path, Path]:
     for name in ("s.tif", "p.json"):
-        (tmp_path / name).write_text(name)
+        (tmp_path / name).write_text("{}")
     return tmp_path / "s.tif", tmp_path / "p.json"
 
 
