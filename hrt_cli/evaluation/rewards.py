@@ -102,7 +102,7 @@ def team_reward(
     Returns
     -------
     travelled, reward : ndarray, float64 [k]
-        Distances in units of one cell, never falling from 0, and the reward within each.
+        Distances in units of one cell, rising from 0, and the reward within each.
     """
     step = np.concatenate([np.arange(len(cells)) for cells in walks])
     order = np.argsort(step, kind="stable")
@@ -112,7 +112,9 @@ def team_reward(
     gain[first] = score[cells[first, 0], cells[first, 1]] * gamma ** step[first]
     travelled = np.concatenate([distance_travelled(cells, diagonal_cost) for cells in walks])[order]
     by_distance = np.argsort(travelled, kind="stable")
-    return travelled[by_distance], np.cumsum(gain[by_distance])
+    travelled, reward = travelled[by_distance], np.cumsum(gain[by_distance])
+    last = np.append(np.diff(travelled) > 0.0, True)
+    return travelled[last], reward[last]
 
 
 def distance_travelled(cells: NDArray[np.integer], diagonal_cost: float = 1.0) -> Floats:

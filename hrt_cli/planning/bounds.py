@@ -2,7 +2,7 @@
 
 Three relaxations, of which the smallest is taken: each cell collected in its own time slot, not before it can be
 reached; the Lagrangian relaxation of "a cell pays once", a longest walk through time and space; and the Lagrangian
-relaxation of the budget, a prize-collecting path over rich regions (`regions`).
+relaxation of the budget, a prize-collecting path over rich regions (`tours`).
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hrt_cli.planning.jit import kernel
-from hrt_cli.planning.regions import Cut
+from hrt_cli.planning.tours import Cut
 from hrt_cli.planning.walk import Field, capacity
 
 ROUNDING = 1e-9
@@ -355,7 +355,7 @@ def prove_bounds(
     joint : Field
         The window with every cell that some robot can enter.
     cuts : sequence of Cut
-        The regions of the window, see `regions.cut_regions`.
+        The regions of the window, see `tours.cut_regions`.
     known, known_discounted : float
         Score and discounted score of walks that exist.
     gamma : float, optional

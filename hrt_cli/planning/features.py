@@ -197,16 +197,15 @@ def read_rings(
     blocks: Blocks,
     sums: NDArray[np.float32],
     at: int,
-    width: int,
-    path: NDArray[np.int64],
-    n: int,
-    fresh: NDArray[np.float64],
+    paid: NDArray[np.int32],
+    scores: NDArray[np.float64],
+    count: int,
     rings: NDArray[np.float64],
 ) -> None:
     """Fill `rings` [rings + 1, 8] with the features around cell `at` of the block arrays; the last row is spare.
 
-    `path[:n]` is the walk so far and `fresh[t]` the scaled score it collected at t; only the regions of
-    'manjanna24' need them.
+    `paid[:, :count]` are rows and columns of the cells that paid so far, and `scores[:count]` what they paid, scaled;
+    only the regions of 'manjanna24' need them.
     """
     kept = blocks.sizes.size
     for level in range(kept):
@@ -214,7 +213,7 @@ def read_rings(
         for k in range(RING):
             rings[level, k] = sums[level, np.uint64(at + blocks.rings[level, k])] * share
     if blocks.far.size > 0:
-        _read_regions(blocks, width, path, n, fresh, rings, kept)
+        _read_regions(blocks, at, paid, scores, count, rings, kept)
         return
     share = 1.0 / (9 * blocks.sizes[kept - 1] * blocks.sizes[kept - 1])
     for k in range(RING):
@@ -238,9 +237,9 @@ def _sector(row: int, col: int) -> int:
 
 
 @lean_kernel
-def _beyond(offset: int) -> int:
-    """Return the sign of an offset that leaves the inner square, 0 inside it."""
-    return 1 if offset > FAR_EDGE else (-1 if offset < -FAR_EDGE else 0)
+def _third(offset: int) -> int:
+    """Return 0, 1 or 2: before, within or beyond the inner square."""
+    return (1 if offset >= -FAR_EDGE else 0) + (1 if offset > FAR_EDGE else 0)
 
 
 @lean_kernel
@@ -253,10 +252,10 @@ def _box_sum(tables: NDArray[np.float64], which: int, r0: int, r1: int, c0: int,
 @lean_kernel
 def _read_regions(
     blocks: Blocks,
-    width: int,
-    path: NDArray[np.int64],
-    n: int,
-    fresh: NDArray[np.float64],
+    at: int,
+    paid: NDArray[np.int32],
+    scores: NDArray[np.float64],
+    count: int,
     rings: NDArray[np.float64],
     ring: int,
 ) -> None:
@@ -264,7 +263,7 @@ def _read_regions(
 
     The next row is used up: it takes the numbers of cells.
     """
-    row, col = path[n - 1] // width, path[n - 1] % width
+    row, col = at // blocks.width - blocks.pad, at % blocks.width - blocks.pad
     rows, cols = blocks.far.shape[1] - 1, blocks.far.shape[2] - 1
     row_cuts = (0, max(row - FAR_EDGE, 0), min(row + FAR_EDGE + 1, rows), rows)
     col_cuts = (0, max(col - FAR_EDGE, 0), min(col + FAR_EDGE + 1, cols), cols)
@@ -276,11 +275,10 @@ def _read_regions(
                     rings[ring + which, k] = _box_sum(
                         blocks.far, which, row_cuts[i], row_cuts[i + 1], col_cuts[j], col_cuts[j + 1]
                     )
-    for t in range(n):
-        if fresh[t] > 0.0:
-            k = _sector(_beyond(path[t] // width - row), _beyond(path[t] % width - col))
-            if k >= 0:
-                rings[ring, k] -= fresh[t]
+    for i in range(count):
+        k = _sector(_third(paid[0, i] - row) - 1, _third(paid[1, i] - col) - 1)
+        if k >= 0:
+            rings[ring, k] -= scores[i]
     for k in range(RING):
         cells = rings[ring + 1, k]
         rings[ring, k] = max(rings[ring, k], 0.0) / cells if cells > 0.5 else 0.0

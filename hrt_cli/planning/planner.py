@@ -18,7 +18,7 @@ from hrt_cli.planning.features import build_blocks
 from hrt_cli.planning.policy import Policy, default_policies, roll_best, roll_many
 from hrt_cli.planning.problem import Plan, Problem, TeamPlan
 from hrt_cli.planning.refine import COLDEST, HOTTEST, TIE, anneal, widen
-from hrt_cli.planning.regions import Cut, cut_regions, follow
+from hrt_cli.planning.tours import Cut, cut_regions, follow
 from hrt_cli.planning.walk import (
     Field,
     build_field,
@@ -68,6 +68,12 @@ BOUND_ITERATIONS = 50
 
 MOST_SAMPLED_MOVES = 4_000_000
 """Moves of all sampled rollouts together; above it fewer walks are sampled."""
+
+MOST_REREAD_MOVES = 800_000_000
+"""The same, times the moves of a walk, for features that go over all of the walk at every move."""
+
+FEWEST_SAMPLED = 8
+"""Walks that are sampled all the same, however long."""
 
 THREADS = 2
 """Walks annealed and levels cut at the same time; the answer does not depend on it."""
@@ -376,13 +382,16 @@ def _likeliest(field: Field, policies: Sequence[Policy], seed: int) -> list[Walk
 
 def _sampled(bench: _Bench, field: Field, policies: Sequence[Policy], samples: int, seed: int) -> list[Walk]:
     """Return sampled rollouts and the likeliest, the best first."""
-    count = min(samples, max(8, int(MOST_SAMPLED_MOVES / field.limit)))
+    count = min(samples, max(FEWEST_SAMPLED, int(MOST_SAMPLED_MOVES / field.limit)))
     walks = _likeliest(field, policies, seed)
     for index, policy in enumerate(policies):
         share = len(range(index, count, len(policies)))
-        paths, lengths = roll_many(field, build_blocks(field, policy.layout), policy.weights, share, seed)
+        blocks = build_blocks(field, policy.layout)
+        if blocks.far.size:
+            share = min(share, max(FEWEST_SAMPLED, int(MOST_REREAD_MOVES / field.limit**2)))
+        paths, lengths = roll_many(field, blocks, policy.weights, share, seed)
         walks += [paths[i, : lengths[i]] for i in range(share)]
-    bench.evaluations += count
+    bench.evaluations += len(walks)
     return _ranked(bench, field, walks)
 
 

@@ -272,14 +272,22 @@ def roll(
     share = np.zeros(moves)
     allowed = np.zeros(moves, np.bool_)
     last = np.full(field.free.size, -1)
-    cell, left, n, paid, came = field.start, field.limit, 1, 0, -1
+    # Where cells paid, and what: only regions that reach to the edges of the map ask.
+    asked = blocks.far.size > 0
+    paid = np.zeros((2, path.size if asked else 0), np.int32)
+    scaled = np.zeros(path.size if asked else 0)
+    cell, left, n, count, lately, came = field.start, field.limit, 1, 0, 0, -1
     path[0] = cell
     fresh[0] = field.value[cell] / blocks.scale
     take_out(blocks, sums, padded_index(blocks, field.width, cell), fresh[0])
     while n < path.size:
         at = padded_index(blocks, field.width, cell)
-        read_rings(blocks, sums, at, field.width, path, n, fresh, rings)
-        circling = last[cell] >= paid
+        if asked and fresh[n - 1] > 0.0:
+            paid[0, count], paid[1, count] = at // blocks.width - blocks.pad, at % blocks.width - blocks.pad
+            scaled[count] = fresh[n - 1]
+            count += 1
+        read_rings(blocks, sums, at, paid, scaled, count, rings)
+        circling = last[cell] >= lately
         last[cell] = n
         if blocks.constants > 0:
             read_more(field, blocks, sums, at, cell, last, came, rings)
@@ -304,7 +312,7 @@ def roll(
         if last[cell] < 0:
             fresh[n] = field.value[cell] / blocks.scale
             if fresh[n] > 0.0:
-                paid = n + 1
+                lately = n + 1
                 take_out(blocks, sums, padded_index(blocks, field.width, cell), fresh[n])
         n += 1
     for t in range(n):

@@ -53,7 +53,10 @@ def test_of_a_team_a_cell_pays_who_is_there_first(gamma: float, diagonal: float)
     for at in (0.0, 3.5, 12.0, 60.0):
         expected = sum(gain for way, gain in gains if way <= at + 1e-9)
         assert reward_at(np.array([at]), travelled, reward)[0] == pytest.approx(expected, rel=1e-12)
-    assert len(reward) == sum(map(len, walks))
+    assert len(reward) == len(travelled)
+    assert (np.diff(travelled) > 0).all()
+    if diagonal == 1.0:
+        assert travelled.tolist() == list(range(36))
 
 
 @pytest.mark.parametrize("diagonal", [1.0, math.sqrt(2)])

@@ -12,7 +12,7 @@ from plan_worlds import collectable, optimum, worlds
 from hrt_cli.errors import ArgumentError
 from hrt_cli.planning.bounds import lagrangian_bound, prove_bounds, scheduling_bound, scheduling_profile
 from hrt_cli.planning.problem import Budget, Problem
-from hrt_cli.planning.regions import cheapest_orders, cut_regions, share_out
+from hrt_cli.planning.tours import cheapest_orders, cut_regions, share_out
 from hrt_cli.planning.walk import build_field, capacity, join_fields
 
 RELAXED = {"deadline": None, "suppress_health_check": list(HealthCheck)}
