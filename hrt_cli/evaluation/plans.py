@@ -19,6 +19,7 @@ from hrt_cli.evaluation.starts import StartsComparison, compare_over_starts, dra
 from hrt_cli.planning.planner import find_walks
 from hrt_cli.planning.policy import default_policies_sha256
 from hrt_cli.planning.problem import Budget, Problem
+from hrt_cli.planning.resume import mark_driven
 from hrt_cli.progress import Progress, silent
 from hrt_cli.raster.grid import Grid, require_same_grid
 from hrt_cli.raster.scoremap import Scoremap, read_scoremap
@@ -205,12 +206,7 @@ def _shared(plan: PlanDocument) -> tuple[object, ...]:
 
 
 def _problems(scoremap: Scoremap, team: Sequence[PlanDocument]) -> list[Problem]:
-    score = scoremap.score.copy()
-    for cell in team[0].collected:
-        if not np.isnan(score[cell]):
-            score[cell] = 0.0
-    for cell in team[0].blocked:
-        score[cell] = np.nan
+    score = mark_driven(scoremap.score, team[0].collected, team[0].blocked)
     return [
         Problem(
             score,

@@ -65,7 +65,10 @@ def _tentative(
         clear(edit)
         low, high = reverse(field, path, n, where, trial, state)
         if high > 0 and not field.exact:
-            cost = walk_cost(field, trial, n)
+            # Turned round, the segment costs what it did: its two joints are new.
+            cost += step_cost(field, trial[low] - path[low - 1]) - step_cost(field, path[low] - path[low - 1])
+            if high < n:
+                cost += step_cost(field, path[high] - trial[high - 1]) - step_cost(field, path[high] - path[high - 1])
             if cost > limit + BUDGET_TOLERANCE:
                 for t in range(low, high):
                     trial[t] = path[t]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -53,6 +54,19 @@ class Driven:
             return self.time_s / 60.0
         jumps = np.abs(np.diff(self.path, axis=0))
         return float(jumps.max(axis=1, initial=0).sum() if connectivity == 8 else jumps.sum())
+
+
+def mark_driven(
+    score: NDArray[np.floating], collected: Iterable[tuple[int, int]], blocked: Iterable[tuple[int, int]]
+) -> NDArray[np.floating]:
+    """Return scores [rows, cols] on which cells that were collected pay nothing and blocked ones are no-go."""
+    marked = score.copy()
+    for cell in collected:
+        if not np.isnan(marked[cell]):
+            marked[cell] = 0.0
+    for cell in blocked:
+        marked[cell] = np.nan
+    return marked
 
 
 def read_driven(path: Path, scoremap: Scoremap) -> Driven:

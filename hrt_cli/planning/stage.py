@@ -18,7 +18,7 @@ from hrt_cli.planning.planner import MOST_ROBOTS, plan_team, plans_alone
 from hrt_cli.planning.policy import Policy, default_policies_sha256
 from hrt_cli.planning.problem import Plan, Problem, TeamPlan
 from hrt_cli.planning.request import Spending, Start, budget_in_cells, start_cell
-from hrt_cli.planning.resume import Driven, read_driven
+from hrt_cli.planning.resume import Driven, mark_driven, read_driven
 from hrt_cli.progress import Progress, silent
 from hrt_cli.raster.grid import Grid
 from hrt_cli.raster.scoremap import Scoremap, read_scoremap
@@ -174,12 +174,7 @@ def _problems(
     """Return the problem of each robot, and the cells that pay nothing and that are blocked for earlier drives."""
     collected = sorted({(int(row), int(col)) for each in driven for row, col in each.cells})
     blocked = sorted({cell for each in driven for cell in each.blocked})
-    score = scoremap.score.copy()
-    for cell in collected:
-        if not np.isnan(score[cell]):
-            score[cell] = 0.0
-    for cell in blocked:
-        score[cell] = np.nan
+    score = mark_driven(scoremap.score, collected, blocked)
     problems = []
     for robot in range(request.robots):
         before = driven[robot if len(driven) > 1 else 0] if driven else None

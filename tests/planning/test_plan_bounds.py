@@ -179,7 +179,7 @@ def test_the_relaxation_is_left_out_where_it_would_not_fit(monkeypatch):
 
 
 def test_on_large_maps_fewer_levels_and_prices_are_tried(monkeypatch):
-    monkeypatch.setattr("hrt_cli.planning.regions.SEARCHED_CELLS", 2000)
+    monkeypatch.setattr("hrt_cli.planning.tours.SEARCHED_CELLS", 2000)
     problem = Problem(np.random.default_rng(1).random((30, 30)), (3, 3), Budget(60.0))
     bounds, cuts = proven(problem)
     assert len(cuts) == 1
