@@ -45,11 +45,15 @@ def is_open(problem, cell):
 
 
 def optimum(problem):
-    """The best value of any walk within the budget, by exhaustive search over (cell, visited set)."""
+    """The best value of any walk within the budget, by exhaustive search over (cell, visited set).
+
+    A walk of counted moves makes them all; without an end that is no matter, for it may go on for nothing.
+    """
     discounted = problem.objective == "discounted"
     start = problem.start
     states = {(start, frozenset([start]), 0.0): float(problem.score[start])}
-    best = float(problem.score[start])
+    shortest = all_moves(problem) if problem.counts_moves and problem.end is not None else 0
+    best = float(problem.score[start]) if shortest == 0 else 0.0
     t = 0
     while states:
         t += 1
@@ -66,7 +70,7 @@ def optimum(problem):
                 key = (to, seen | {to}, cost)
                 after[key] = max(after.get(key, -1.0), value + gain)
         for (cell, _, _), value in after.items():
-            if problem.end in (None, cell):
+            if problem.end in (None, cell) and t >= shortest:
                 best = max(best, value)
         states = after
     return best
@@ -100,6 +104,12 @@ def walk_to_the_end_exists(problem, moves):
     return problem.end in layer
 
 
+def all_moves(problem):
+    """How many moves a walk of counted moves makes: all, or one less where the end wants it."""
+    moves = int(problem.limit)
+    return moves - 1 if problem.end is not None and not walk_to_the_end_exists(problem, moves) else moves
+
+
 def end_is_near(problem):
     """Whether the end can be reached within the budget, by relaxing every move until nothing changes."""
     cost = {problem.start: 0.0}
@@ -126,10 +136,7 @@ def check_walk(problem, cells):
     if problem.end is not None:
         assert cells[-1] == problem.end
     if problem.counts_moves:
-        moves = int(problem.limit)
-        if problem.end is not None and not walk_to_the_end_exists(problem, moves):
-            moves -= 1
-        assert len(cells) == moves + 1
+        assert len(cells) == all_moves(problem) + 1
     else:
         assert cost <= problem.limit + SLACK
         assert_no_more_fits(problem, cells, problem.limit - cost)
