@@ -373,11 +373,7 @@ def _chosen(policies: Sequence[Policy] | None) -> Sequence[Policy]:
 
 def _likeliest(field: Field, policies: Sequence[Policy], seed: int) -> list[Walk]:
     """Return the walk of each policy that takes its likeliest move each time."""
-    walks = []
-    for policy in policies:
-        path, n = roll_best(field, build_blocks(field, policy.layout), policy.weights, seed)
-        walks.append(np.asarray(path[:n]))
-    return walks
+    return [roll_best(field, build_blocks(field, policy.layout), policy.weights, seed) for policy in policies]
 
 
 def _sampled(bench: _Bench, field: Field, policies: Sequence[Policy], samples: int, seed: int) -> list[Walk]:

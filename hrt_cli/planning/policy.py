@@ -321,30 +321,34 @@ def roll(
 
 
 @kernel
-def roll_many(
-    field: Field, blocks: Blocks, weights: NDArray[np.float64], count: int, seed: int
+def _roll_each(
+    field: Field, blocks: Blocks, weights: NDArray[np.float64], states: NDArray[np.uint64], sample: bool
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return `count` sampled walks, int64 [count, capacity], and their numbers of cells, int64 [count]."""
+    """Return a walk for each state of the generator, int64 [states, capacity], and their numbers of cells."""
     cells = capacity(field)
-    paths = np.zeros((count, cells), np.int64)
-    lengths = np.zeros(count, np.int64)
+    paths = np.zeros((states.size, cells), np.int64)
+    lengths = np.zeros(states.size, np.int64)
     fresh = np.zeros(cells)
     nothing = np.zeros((0, 0, 0), np.float32)
     net = shape_net(weights, blocks)
     sums = blocks.sums.copy()
     state = np.zeros(1, np.uint64)
-    for i in range(count):
-        state[0] = np.uint64(seed) + np.uint64(i + 1) * SEED_STRIDE
-        lengths[i] = roll(field, blocks, sums, net, True, state, paths[i], fresh, nothing)
+    for i in range(states.size):
+        state[0] = states[i]
+        lengths[i] = roll(field, blocks, sums, net, sample, state, paths[i], fresh, nothing)
     return paths, lengths
 
 
-@kernel
-def roll_best(field: Field, blocks: Blocks, weights: NDArray[np.float64], seed: int) -> tuple[NDArray[np.int64], int]:
-    """Return the walk that takes the likeliest moves, and its number of cells."""
-    path = np.zeros(capacity(field), np.int64)
-    fresh = np.zeros(path.size)
-    state = np.full(1, np.uint64(seed), np.uint64)
-    nothing = np.zeros((0, 0, 0), np.float32)
-    n = roll(field, blocks, blocks.sums.copy(), shape_net(weights, blocks), False, state, path, fresh, nothing)
-    return path, n
+def roll_many(
+    field: Field, blocks: Blocks, weights: NDArray[np.float64], count: int, seed: int
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return `count` sampled walks, int64 [count, capacity], and their numbers of cells, int64 [count]."""
+    states = np.uint64(seed) + np.arange(1, count + 1, dtype=np.uint64) * SEED_STRIDE
+    paths, lengths = _roll_each(field, blocks, weights, states, True)
+    return paths, lengths
+
+
+def roll_best(field: Field, blocks: Blocks, weights: NDArray[np.float64], seed: int) -> NDArray[np.int64]:
+    """Return the walk that takes the likeliest moves, int64 [cells]."""
+    paths, lengths = _roll_each(field, blocks, weights, np.full(1, seed, np.uint64), False)
+    return np.asarray(paths[0, : lengths[0]])

@@ -174,7 +174,8 @@ def explore(
     state = np.zeros(1, np.uint64)
     for i in range(count):
         state[0] = np.uint64(seed) + np.uint64(i + 1) * SEED_STRIDE
-        n = roll(field, blocks, sums, net, True, state, path, fresh, scores[i])
+        # Told at run time, so that one compiled `roll` serves all its callers.
+        n = roll(field, blocks, sums, net, count > 0, state, path, fresh, scores[i])
         rewards[i, : n - 1] = fresh[1:n]
     return rewards, scores.reshape((count, moves, weights.size))
 

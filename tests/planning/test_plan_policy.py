@@ -164,8 +164,7 @@ def test_policy_turns_and_mirrors_with_the_map(policy):
 
     def walk(grid):
         field = build_field(Problem(grid, (15, 15), Budget(60.0)))
-        path, n = roll_best(field, build_blocks(field, policy.layout), policy.weights, 0)
-        return to_cells(field, path[:n])
+        return to_cells(field, roll_best(field, build_blocks(field, policy.layout), policy.weights, 0))
 
     plain = walk(score)
     np.testing.assert_array_equal(walk(score[::-1].copy()), plain * [1, 1] * [-1, 1] + [30, 0])
