@@ -423,12 +423,16 @@ def authors(size: Size) -> list[Table]:
     tasks = [Task("authors", k, score, (int(cell) // score.shape[1], int(cell) % score.shape[1]), 200)
              for k, cell in enumerate(cells)]  # fmt: skip
     rows: list[dict[str, object]] = []
-    for method in ("lawnmower", "greedy", "policy", "policy-sample", "refined"):
-        made = make_plans(tasks, method)
+    runs: list[tuple[str, str, list[Policy] | None]] = [
+        (method, method, None) for method in ("lawnmower", "greedy", "policy", "policy-sample", "refined")
+    ]
+    runs += [(f"policy, {policy.layout} alone", "policy", [policy]) for policy in default_policies()]
+    for name, method, policies in runs:
+        made = make_plans(tasks, method, policies=policies)
         shares = made.values("score", len(tasks)) / float(score.sum())
         bound = float(made.values("upper_bound", len(tasks)).mean() / score.sum())
-        rows.append({"method": method, **spread(shares, "of the total"), "bound": bound,
-                     "authors": AUTHORS.get(method)})  # fmt: skip
+        rows.append({"method": name, **spread(shares, "of the total"), "bound": bound,
+                     "authors": AUTHORS.get(name)})  # fmt: skip
     notes = ["their test map 1, 30 x 30 cells, 200 moves, 21 starts drawn at random (theirs are not known)",
              "authors: the policy they trained on one map, their greedy and their boustrophedon"]  # fmt: skip
     return [Table("authors", rows, notes)]
@@ -441,12 +445,15 @@ def seeds(size: Size) -> list[Table]:
     for seed in range(size.seeds):
         trained = [train(TrainSpec(seed=seed, iterations=size.seed_iterations, layout=policy.layout))
                    for policy in default_policies()]  # fmt: skip
-        plans = make_plans(tasks, "policy", policies=[policy for policy, _ in trained])
-        shares = plans.values("score", size.seed_maps) / bounds
+        both = [policy for policy, _ in trained]
+        shares, *alone = (make_plans(tasks, "policy", policies=policies).values("score", size.seed_maps) / bounds
+                          for policies in (both, *([policy] for policy in both)))  # fmt: skip
         means.append(float(shares.mean()))
         families = {family: float(shares[k].mean()) for k, family in enumerate(HELD_OUT)}
         last = [round(float(curve[-20:].mean()), 3) for _, curve in trained]
-        rows.append({"seed": seed, **spread(shares, "of the bound"), "last of the curve": last, **families})
+        rows.append({"seed": seed, **spread(shares, "of the bound"), "last of the curve": last,
+                     **{f"{policy.layout} alone": float(share.mean())
+                        for policy, share in zip(both, alone, strict=True)}, **families})  # fmt: skip
     notes = [f"{len(tasks)} maps; the likeliest moves of policies trained for {size.seed_iterations} iterations",
              f"mean of the seeds {np.mean(means):.4f}, standard deviation {np.std(means, ddof=1):.4f}"]  # fmt: skip
     return [Table("seeds", rows, notes)]

@@ -7,7 +7,7 @@ import heapq
 import numpy as np
 from numpy.typing import NDArray
 
-from hrt_cli.planning.jit import kernel
+from hrt_cli.planning.jit import kernel, lean_kernel
 from hrt_cli.planning.walk import Field
 
 MOST_LABELS = 300
@@ -38,21 +38,28 @@ def label_regions(field: Field, level: float) -> tuple[NDArray[np.int64], int]:
     return label, count
 
 
+@lean_kernel
+def crossing_loss(field: Field, label: NDArray[np.int64], cell: int, cost: float, price: float) -> float:
+    """Return what a move of `cost` into a cell loses: price x cost - value, at least 0; into a region nothing."""
+    return 0.0 if label[cell] >= 0 else max(price * cost - field.value[cell], 0.0)
+
+
 @kernel
-def _borders(
-    field: Field, label: NDArray[np.int64], price: float
-) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64]]:
-    """Return pairs of neighbouring regions and what crossing between them loses, one entry per meeting cells."""
-    n = label.size
-    owner = label.copy()
-    loss = np.full(n, np.inf)
+def spread(
+    field: Field, costs: NDArray[np.float64], label: NDArray[np.int64], sources: NDArray[np.int64], price: float
+) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """Return what the cheapest way from `sources` to each cell loses at a price per move (Dijkstra 1959), and whence.
+
+    `costs` are those of the moves, `sources` cells in rising order; the second array holds the label of the source
+    that each way comes from, -1 where there is none.
+    """
+    loss = np.full(field.free.size, np.inf)
+    origin = np.full(field.free.size, -1)
     heap = [(0.0, 0)]
     heap.pop()
-    for cell in range(n):
-        if label[cell] >= 0:
-            loss[cell] = 0.0
-            heap.append((0.0, cell))
-    heapq.heapify(heap)
+    for i in range(sources.size):
+        loss[sources[i]], origin[sources[i]] = 0.0, label[sources[i]]
+        heap.append((0.0, sources[i]))
     while len(heap) > 0:
         so_far, cell = heapq.heappop(heap)
         if so_far > loss[cell]:
@@ -61,11 +68,20 @@ def _borders(
             after = cell + field.offsets[k]
             if not field.free[after]:
                 continue
-            step = 0.0 if label[after] >= 0 else max(price * field.costs[k] - field.value[after], 0.0)
+            step = crossing_loss(field, label, after, costs[k], price)
             if so_far + step < loss[after]:
-                loss[after] = so_far + step
-                owner[after] = owner[cell]
+                loss[after], origin[after] = so_far + step, origin[cell]
                 heapq.heappush(heap, (so_far + step, after))
+    return loss, origin
+
+
+@kernel
+def _borders(
+    field: Field, label: NDArray[np.int64], price: float
+) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64]]:
+    """Return pairs of neighbouring regions and what crossing between them loses, one entry per meeting cells."""
+    n = label.size
+    loss, owner = spread(field, field.costs, label, np.flatnonzero(label >= 0), price)
     first = np.empty(n * field.offsets.size, np.int64)
     second = np.empty(n * field.offsets.size, np.int64)
     gap = np.empty(n * field.offsets.size)

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hrt_cli.planning.jit import kernel
-from hrt_cli.planning.regions import find_regions
+from hrt_cli.planning.regions import crossing_loss, find_regions, spread
 from hrt_cli.planning.walk import Field
 
 MOST_REGIONS = 11
@@ -33,8 +33,6 @@ PRICES = (0.0, 0.8, 0.3, 1.6)
 
 SEARCHED_CELLS = 26_000_000
 """Cells that all searches for cheapest ways may go over; on large maps fewer levels and prices are tried."""
-
-_NO_TRACE = np.zeros(0, np.int64)
 
 
 @dataclass(frozen=True)
@@ -126,45 +124,6 @@ class Cut:
 
 
 @kernel
-def spread(
-    field: Field,
-    costs: NDArray[np.float64],
-    label: NDArray[np.int64],
-    sources: NDArray[np.int64],
-    price: float,
-    back: NDArray[np.int64],
-) -> NDArray[np.float64]:
-    """Return what the cheapest way from any of `sources` to each cell loses at a price per move (Dijkstra 1959).
-
-    A move of `costs[k]` into a cell outside the regions loses price x cost - value, at least 0; into a region
-    nothing. Where `back` [n] is not empty it receives the cell that each way comes from, -1 at the sources.
-    """
-    loss = np.full(field.free.size, np.inf)
-    heap = [(0.0, 0)]
-    heap.pop()
-    for i in range(sources.size):
-        loss[sources[i]] = 0.0
-        heap.append((0.0, sources[i]))
-        if back.size > 0:
-            back[sources[i]] = -1
-    while len(heap) > 0:
-        so_far, cell = heapq.heappop(heap)
-        if so_far > loss[cell]:
-            continue
-        for k in range(field.offsets.size):
-            after = cell + field.offsets[k]
-            if not field.free[after]:
-                continue
-            step = 0.0 if label[after] >= 0 else max(price * costs[k] - field.value[after], 0.0)
-            if so_far + step < loss[after]:
-                loss[after] = so_far + step
-                if back.size > 0:
-                    back[after] = cell
-                heapq.heappush(heap, (so_far + step, after))
-    return loss
-
-
-@kernel
 def cheapest_orders(
     between: NDArray[np.float64], first: NDArray[np.float64], home: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -250,7 +209,7 @@ def _way_to_nearest(
             after = cell + field.offsets[k]
             if not field.free[after]:
                 continue
-            step = 0.0 if label[after] >= 0 else max(price * field.costs[k] - field.value[after], 0.0)
+            step = crossing_loss(field, label, after, field.costs[k], price)
             if stamp[after] != mark or so_far + step < loss[after]:
                 loss[after], back[after], stamp[after] = so_far + step, cell, mark
                 heapq.heappush(heap, (so_far + step, after))
@@ -335,7 +294,7 @@ def _price(
         paid = np.concatenate([paid, paid + prize[i]])
 
     def ways(source: NDArray[np.int64], costs: NDArray[np.float64]) -> NDArray[np.float64]:
-        return np.asarray(_nearest_of(spread(joint, costs, label, source, price, _NO_TRACE), merged, count))
+        return np.asarray(_nearest_of(spread(joint, costs, label, source, price)[0], merged, count))
 
     between = np.zeros((count, count))
     for i in range(count):
