@@ -2,24 +2,31 @@
 
 One JSON object a line. The first is a header, `{"format": "hrt-drive-log", "version": 1, "crs": ...}`, where `crs` is
 an authority code or WKT; every other one a record with `t` (seconds, never falling) and a place: `lon, lat` (WGS 84
-degrees), or `x, y` in the header's CRS. Speeds (`speed_m_s` as achieved, `commanded_m_s`) and an `event` may stand
-beside them. A CSV with columns of these names is read as well.
+degrees), or `x, y` in the header's CRS. Speeds (`speed_m_s` as achieved, `commanded_m_s`), `heading_deg` (clockwise
+from true north), what an underwater robot knows besides (`pitch_deg`, nose up; `depth_m` below the surface), and an
+`event` may stand beside them. A CSV with columns of these names is read as well.
 """
 
 from __future__ import annotations
 
 import csv
+import hashlib
 import io
+import json
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal, TypeVar
+from typing import Any, Literal, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, ValidationError, model_validator
 
+from hrt_cli.artifacts.carriers import checked
 from hrt_cli.artifacts.jsonio import Document, describe, parse_strict, read_text
+from hrt_cli.artifacts.provenance import Provenance
+from hrt_cli.artifacts.publish import publishing
 from hrt_cli.errors import InputError
 
 MAX_BYTES = 256 * 1024 * 1024
@@ -29,12 +36,21 @@ M = TypeVar("M", bound=Document)
 Event = Literal["stuck", "collision", "intervention"]
 
 
+class Robot(Document):
+    """Who drove: a ground (`ugv`) or underwater (`auv`) robot that fits into a circle of `radius_m`."""
+
+    kind: Literal["ugv", "auv"]
+    radius_m: float = Field(gt=0, le=100)
+
+
 class Header(Document):
     """The first line of a log."""
 
     format: Literal["hrt-drive-log"]
     version: Literal[1] = 1
     crs: str | None = None
+    robot: Robot | None = None
+    provenance: Provenance | None = None
 
 
 class Record(Document):
@@ -47,6 +63,9 @@ class Record(Document):
     lat: float | None = Field(default=None, ge=-90, le=90)
     speed_m_s: float | None = Field(default=None, ge=0, allow_inf_nan=False)
     commanded_m_s: float | None = Field(default=None, ge=0, allow_inf_nan=False)
+    heading_deg: float | None = Field(default=None, ge=-360, le=360)
+    pitch_deg: float | None = Field(default=None, ge=-90, le=90)
+    depth_m: float | None = Field(default=None, allow_inf_nan=False)
     event: Event | None = None
 
     @model_validator(mode="after")
@@ -74,6 +93,10 @@ class DriveLog:
         CRS of x, y; None where the log does not say.
     events : tuple of (int, str)
         Index of the record, and what happened there.
+    speed_m_s, commanded_m_s, heading_deg, pitch_deg, depth_m : ndarray, float64 [n]
+        NaN where the log does not say.
+    robot : Robot or None
+        Who drove, where the log says so.
     """
 
     time_s: NDArray[np.float64]
@@ -81,10 +104,16 @@ class DriveLog:
     geographic: bool
     crs: str | None
     events: tuple[tuple[int, str], ...]
+    speed_m_s: NDArray[np.float64]
+    commanded_m_s: NDArray[np.float64]
+    heading_deg: NDArray[np.float64]
+    pitch_deg: NDArray[np.float64]
+    depth_m: NDArray[np.float64]
+    robot: Robot | None
 
 
 def read_drive_log(path: Path) -> DriveLog:
-    """Read a drive log, `.jsonl` or `.csv`.
+    """Read a drive log, `.jsonl` or `.csv`. One with provenance is checked against it.
 
     Raises
     ------
@@ -110,12 +139,51 @@ def read_drive_log(path: Path) -> DriveLog:
         raise InputError(path, "mixes places in lon, lat with places in x, y")
     place = [(r.lon, r.lat) if geographic else (r.x, r.y) for r in records]
     events = tuple((index, record.event) for index, record in enumerate(records) if record.event is not None)
-    return DriveLog(time, np.array(place, np.float64), geographic, header.crs, events)
+    return DriveLog(
+        time_s=time,
+        place=np.array(place, np.float64),
+        geographic=geographic,
+        crs=header.crs,
+        events=events,
+        speed_m_s=_column(r.speed_m_s for r in records),
+        commanded_m_s=_column(r.commanded_m_s for r in records),
+        heading_deg=_column(r.heading_deg for r in records),
+        pitch_deg=_column(r.pitch_deg for r in records),
+        depth_m=_column(r.depth_m for r in records),
+        robot=header.robot,
+    )
+
+
+def publish_drive_log(target: Path, header: Header, records: list[dict[str, Any]], provenance: Provenance) -> None:
+    """Publish a drive log of canonical JSON lines; records hold the members of `Record` that are known."""
+    lines = [json.dumps(record, allow_nan=False) for record in records]
+    stamped = provenance.with_content(_records_sha256(lines))
+    first = header.model_copy(update={"provenance": stamped}).model_dump(mode="json", exclude_none=True)
+    with publishing(target, drive_provenance) as draft:
+        draft.write_text("\n".join([json.dumps(first), *lines]) + "\n", encoding="utf-8")
+
+
+def drive_provenance(path: Path) -> Provenance | None:
+    """Read the provenance of a drive log and check its records against it."""
+    lines = read_text(path, MAX_BYTES).split("\n")
+    found = _model(path, 1, Header, parse_strict(path, lines[0])).provenance
+    return None if found is None else checked(path, found, _records_sha256(lines[1:-1]))
+
+
+def _records_sha256(lines: list[str]) -> str:
+    return hashlib.sha256("\n".join(lines).encode()).hexdigest()
+
+
+def _column(values: Iterable[float | None]) -> NDArray[np.float64]:
+    return np.array([math.nan if value is None else value for value in values], np.float64)
 
 
 def _from_lines(path: Path, text: str) -> tuple[Header, list[Record]]:
     lines = text.splitlines()
-    return _model(path, 1, Header, parse_strict(path, lines[0])), [
+    header = _model(path, 1, Header, parse_strict(path, lines[0]))
+    if header.provenance is not None:
+        drive_provenance(path)
+    return header, [
         _model(path, number, Record, parse_strict(path, line))
         for number, line in enumerate(lines[1:], start=2)
         if line.strip()

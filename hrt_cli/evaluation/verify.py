@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Literal
 
 from hrt_cli.artifacts.carriers import json_provenance, npz_provenance
+from hrt_cli.artifacts.drivelog import drive_provenance
 from hrt_cli.artifacts.png import png_provenance
 from hrt_cli.artifacts.provenance import Provenance, file_sha256
 from hrt_cli.artifacts.stage import ReadProvenance
@@ -20,6 +21,7 @@ _READERS: dict[str, ReadProvenance] = {
     ".json": json_provenance,
     ".geojson": json_provenance,
     ".png": png_provenance,
+    ".jsonl": drive_provenance,
 }
 
 Verdict = Literal["ok", "changed", "damaged", "unsigned"]
@@ -54,7 +56,7 @@ def verify_file(path: Path, folders: tuple[Path, ...] = ()) -> Verification:
     Parameters
     ----------
     path : Path
-        A GeoTIFF, NPZ, JSON or PNG.
+        A GeoTIFF, NPZ, JSON, PNG or drive log.
     folders : tuple of Path
         Where to look for its inputs besides its own folder.
 

@@ -1,0 +1,127 @@
+"""One raster on the grid of another: whatever its resolution, extent or CRS, its values where they are asked for."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from rasterio.enums import Resampling
+from rasterio.errors import RasterioError
+from rasterio.warp import reproject
+
+from hrt_cli.errors import InputError
+from hrt_cli.raster.gate import Raster, is_nodata
+from hrt_cli.raster.grid import Grid, transform_points
+from hrt_cli.raster.windows import Window
+
+Rule = Literal["bilinear", "average", "max", "nearest", "mode"]
+"""How a value is made of the pixels about it (GDAL's resampling of that name)."""
+
+MAX_PX = 2**28
+"""Most pixels of a source that are read at once (1 GB as float32)."""
+
+_MARGIN_PX = 4
+_EDGE_POINTS = 9
+
+
+def field_on(raster: Raster, grid: Grid, rule: Rule, *, band: int = 1) -> NDArray[np.float32]:
+    """Return a band of a raster on another grid.
+
+    Parameters
+    ----------
+    raster : Raster
+        Open, and georeferenced.
+    grid : Grid
+        Where the values are wanted.
+    rule : str
+        Of pixels that carry no data none counts; a value is NaN only where no pixel with data lies about it.
+    band : int
+        Counted from 1.
+
+    Returns
+    -------
+    float32 [rows, cols]
+        In the raster's own unit; NaN where it has no data.
+
+    Raises
+    ------
+    InputError
+        The raster does not reach the grid, or the part of it that does has more than `MAX_PX` pixels.
+    """
+    window = window_on(raster.path, raster.grid, grid)
+    values = raster.read_bands([band], window)[0]
+    empty = is_nodata(values, raster.nodata[band - 1])
+    if raster.has_mask:
+        empty |= ~raster.read_mask(window)
+    real = values.astype(np.float32)
+    real[empty] = np.nan
+    out = np.full(grid.shape, np.nan, np.float32)
+    warp_onto(raster.path, real, part_of(raster.grid, window), out, grid, rule, src_nodata=np.nan, dst_nodata=np.nan)
+    return out
+
+
+def window_on(path: Path, source: Grid, target: Grid) -> Window:
+    """Return the pixels of `source` that lie on `target`, with a small margin.
+
+    Raises
+    ------
+    InputError
+        There are none, or more than `MAX_PX`; `path` names the source.
+    """
+    along = np.linspace(0.0, 1.0, _EDGE_POINTS)
+    rows, cols = (a.ravel() * side for a, side in zip(np.meshgrid(along, along), target.shape, strict=True))
+    x, y = target.xy(rows, cols)
+    try:
+        if source.crs is None or target.crs is None:
+            raise ValueError("has no coordinate reference system")
+        if source.crs != target.crs:
+            x, y = transform_points(target.crs, source.crs, x, y)
+    except ValueError as error:
+        raise InputError(path, f"cannot be laid on the other raster: {error}") from error
+    back = ~source.transform
+    at_col, at_row = back.a * x + back.b * y + back.c, back.d * x + back.e * y + back.f
+    top, left = int(np.floor(at_row.min())) - _MARGIN_PX, int(np.floor(at_col.min())) - _MARGIN_PX
+    bottom, right = int(np.ceil(at_row.max())) + _MARGIN_PX, int(np.ceil(at_col.max())) + _MARGIN_PX
+    window = Window(top, left, bottom - top, right - left).clipped(source.shape)
+    inside = (at_row.max() > 0) & (at_row.min() < source.rows) & (at_col.max() > 0) & (at_col.min() < source.cols)
+    if not inside or not window.height or not window.width:
+        raise InputError(path, "does not cover the place: it lies wholly beside the other raster")
+    if window.height * window.width > MAX_PX:
+        raise InputError(
+            path, f"has {window.height} x {window.width} pixels there, more than are read at once", "resample it first"
+        )
+    return window
+
+
+def part_of(grid: Grid, window: Window) -> Grid:
+    """Return the grid of a window of a raster."""
+    transform = grid.transform @ type(grid.transform).translation(window.col, window.row)
+    return Grid(window.height, window.width, transform, grid.crs)
+
+
+def warp_onto(
+    path: Path,
+    values: NDArray[Any],
+    source: Grid,
+    out: NDArray[Any],
+    target: Grid,
+    rule: Rule,
+    **options: Any,
+) -> None:
+    """Resample an array [(bands,) rows, cols] of `source` into `out` on `target`; `options` as GDAL's warper takes."""
+    try:
+        reproject(
+            values,
+            out,
+            src_transform=source.transform,
+            src_crs=source.crs,
+            dst_transform=target.transform,
+            dst_crs=target.crs,
+            resampling=Resampling[rule],
+            init_dest_nodata=False,
+            **options,
+        )
+    except RasterioError as error:
+        raise InputError(path, f"cannot be laid on the other raster: {' '.join(str(error).split())}") from error
