@@ -63,7 +63,10 @@ Example:
     type=opt.PATH,
     multiple=True,
     help="Log (.jsonl, .csv) of a drive to go on from: cells it went through pay nothing, what it spent is taken off "
-    "the budget, cells where it got stuck become no-go; one for all robots, or one for each.",
+    "the budget, cells where it got stuck become no-go; one for all robots, one for each, or all of one robot's.",
+)
+@click.option(
+    "--or-stay", is_flag=True, help="With no move left (budget spent, walled in), plan to stay; else refused."
 )
 @click.option(
     "--speed",
@@ -104,6 +107,7 @@ def plan(
     ends: tuple[str, ...],
     robots: int,
     visited: tuple[Path, ...],
+    or_stay: bool,
     speed_m_s: float,
     policy_paths: tuple[Path, ...],
     effort: float,
@@ -119,8 +123,8 @@ def plan(
     SCOREMAP is the output of `hrt scoremap` (or an .npz with score, and optionally sd, cell_size_m, no_go). The plan
     says how far it is from the best possible: its gap to a proven upper bound.
     """
-    from hrt_cli.planning.request import parse_budget, parse_start
-    from hrt_cli.planning.stage import PlanRequest, plan_file
+    from hrt_cli.planning.request import PlanRequest, parse_budget, parse_start
+    from hrt_cli.planning.stage import plan_file
 
     request = PlanRequest(
         starts=tuple(parse_start(text) for text in starts),
@@ -136,6 +140,7 @@ def plan(
         effort=effort,
         samples=samples,
         seed=seed,
+        or_stay=or_stay,
     )
     with console.bar("plan") as progress:
         done = plan_file(

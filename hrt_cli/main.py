@@ -46,6 +46,10 @@ COMMANDS = {
     ),
     "plan": ("hrt_commands.plan:plan", "Plan the path that collects the most score within a budget."),
     "export": ("hrt_commands.export:export", "Write a plan as a mission that an autopilot opens."),
+    "drive": (
+        "hrt_commands.drive:drive",
+        "Drive PLAN on a site in simulation and log what the robot would have logged, never the truth.",
+    ),
     "evaluate": ("hrt_commands.evaluate:evaluate", "Measure a segmentation or plans against the truth."),
     "verify": ("hrt_commands.verify:verify", "Check artifacts against the provenance they carry."),
 }

@@ -34,6 +34,8 @@ MAX_BYTES = 256 * 1024 * 1024
 M = TypeVar("M", bound=Document)
 
 Event = Literal["stuck", "collision", "intervention"]
+End = Literal["arrived", "stuck", "out of time"]
+"""Why a drive ended."""
 
 
 class Robot(Document):
@@ -50,6 +52,7 @@ class Header(Document):
     version: Literal[1] = 1
     crs: str | None = None
     robot: Robot | None = None
+    end: End | None = None
     provenance: Provenance | None = None
 
 
@@ -97,6 +100,8 @@ class DriveLog:
         NaN where the log does not say.
     robot : Robot or None
         Who drove, where the log says so.
+    end : str or None
+        Why the drive ended, likewise.
     """
 
     time_s: NDArray[np.float64]
@@ -110,6 +115,7 @@ class DriveLog:
     pitch_deg: NDArray[np.float64]
     depth_m: NDArray[np.float64]
     robot: Robot | None
+    end: End | None
 
 
 def read_drive_log(path: Path) -> DriveLog:
@@ -151,6 +157,7 @@ def read_drive_log(path: Path) -> DriveLog:
         pitch_deg=_column(r.pitch_deg for r in records),
         depth_m=_column(r.depth_m for r in records),
         robot=header.robot,
+        end=header.end,
     )
 
 

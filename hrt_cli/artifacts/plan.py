@@ -33,11 +33,11 @@ class Waypoint(Document):
 
 
 class Budget(Document):
-    """The budget as it was given (`value`, `unit`), and as the planner used it: cells of travel."""
+    """The budget as it was given (`value`, `unit`), and what of it the plan could use: cells of travel."""
 
     value: float = Field(gt=0)
     unit: Literal["steps", "m", "min"]
-    cells: float = Field(gt=0)
+    cells: float = Field(ge=0)
 
 
 class Grid(Document):

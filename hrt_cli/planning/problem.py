@@ -22,6 +22,10 @@ NEIGHBOURS_8 = ((0, 1), (1, 1), (1, 0), (1, -1), (0, -1), (-1, -1), (-1, 0), (-1
 """The eight (row, column) steps, clockwise from east; the even entries are the 4-neighbours."""
 
 
+class NothingLeftError(ArgumentError):
+    """There is no move to plan: the budget is spent, or the robot is walled in."""
+
+
 @dataclass(frozen=True)
 class Budget:
     """How far the robot may go.
@@ -138,7 +142,7 @@ class Problem:
                 self._check_cell(name, *cell)
         row, col = self.start
         if not any(self._can_enter(row + dr, col + dc) for dr, dc in self.neighbours):
-            raise ArgumentError(f"start cell {row},{col} is walled in: no neighbour can be entered")
+            raise NothingLeftError(f"start cell {row},{col} is walled in: no neighbour can be entered")
 
     def _check_cell(self, name: str, row: int, col: int) -> None:
         rows, cols = self.score.shape

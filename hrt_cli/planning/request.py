@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hrt_cli.errors import ArgumentError
-from hrt_cli.planning.problem import Budget
+from hrt_cli.planning.problem import Budget, NothingLeftError
 from hrt_cli.raster.grid import Grid
 from hrt_cli.raster.scoremap import Scoremap
 
@@ -100,7 +100,7 @@ def budget_in_cells(spending: Spending, cell_size_m: float, speed_m_s: float) ->
     if abs(cells - round(cells)) < _WHOLE * cells:
         cells = float(round(cells))
     if cells < 1:
-        raise ArgumentError(f"the budget of {metres:g} m does not reach the next cell ({cell_size_m:g} m away)")
+        raise NothingLeftError(f"the budget of {metres:g} m does not reach the next cell ({cell_size_m:g} m away)")
     return Budget(cells, math.sqrt(2.0))
 
 
@@ -169,3 +169,28 @@ def _is_inside(start: Start, grid: Grid) -> bool:
     except ArgumentError:
         return False
     return 0 <= row < grid.rows and 0 <= col < grid.cols
+
+
+@dataclass(frozen=True)
+class PlanRequest:
+    """What to plan; see `Problem` and `hrt_cli.planning.planner.plan` for the meaning of each.
+
+    `starts` and `ends` hold one place for all robots or one for each; without `starts` the robots stand where their
+    earlier drives ended, without `ends` they may end anywhere. With `or_stay` one robot for which no move is left gets
+    the plan of staying where it is, instead of being refused.
+    """
+
+    starts: tuple[Start, ...]
+    budget: Spending
+    method: str = "refined"
+    objective: Literal["total", "discounted"] = "total"
+    gamma: float = 0.99
+    connectivity: Literal[4, 8] = 4
+    return_home: bool = False
+    ends: tuple[Start, ...] = ()
+    robots: int = 1
+    speed_m_s: float = 1.0
+    effort: float = 1.0
+    samples: int = 256
+    seed: int = 0
+    or_stay: bool = False

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import math
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -19,6 +20,8 @@ from hrt_cli.raster.scoremap import Scoremap
 
 _SAMPLES_PER_CELL = 20
 _MOST_SAMPLES = 50_000_000
+_BESIDE_CELLS = 2.5
+"""A robot that stands on a no-go cell may begin so far from it: it came to the edge of what stopped it."""
 
 
 @dataclass(frozen=True)
@@ -37,6 +40,8 @@ class Driven:
         What the drive took.
     path : ndarray, int64 [k, 2]
         The same cells with those off the map, none twice in a row.
+    notes : list of str
+        What the user ought to know of it.
     """
 
     cells: NDArray[np.int64]
@@ -45,6 +50,7 @@ class Driven:
     length_m: float
     time_s: float
     path: NDArray[np.int64]
+    notes: list[str]
 
     def spent(self, unit: Literal["steps", "m", "min"], connectivity: int) -> float:
         """Return what the drive took of a budget in `unit`; steps between 4- or 8-neighbours."""
@@ -69,14 +75,38 @@ def mark_driven(
     return marked
 
 
-def read_driven(path: Path, scoremap: Scoremap) -> Driven:
-    """Read a drive log and lay it on the cells of a scoremap.
+def read_drives(paths: Sequence[Path], scoremap: Scoremap) -> Driven:
+    """Read the logs of one robot's successive drives as one drive, with what lies between two of them left out.
 
     Raises
     ------
     InputError
-        The log cannot be read, its places cannot be laid on the map, it lies off the map, or it ends on a cell that
-        cannot be entered.
+        As `read_driven`.
+    """
+    drives = [read_driven(path, scoremap) for path in paths]
+    stands = drives[-1].stands
+    blocked = dict.fromkeys(cell for each in drives for cell in each.blocked if cell != stands)
+    return Driven(
+        cells=np.concatenate([each.cells for each in drives]),
+        stands=stands,
+        blocked=list(blocked),
+        length_m=math.fsum(each.length_m for each in drives),
+        time_s=math.fsum(each.time_s for each in drives),
+        path=np.concatenate([each.path for each in drives]),
+        notes=drives[-1].notes,
+    )
+
+
+def read_driven(path: Path, scoremap: Scoremap) -> Driven:
+    """Read a drive log and lay it on the cells of a scoremap.
+
+    Where it ends in a cell that is no-go by now, the robot is taken to stand in the nearest one that may be entered.
+
+    Raises
+    ------
+    InputError
+        The log cannot be read, its places cannot be laid on the map, it lies off the map, or it ends far from any
+        cell that may be entered.
     """
     log = read_drive_log(path)
     grid = scoremap.grid
@@ -87,8 +117,10 @@ def read_driven(path: Path, scoremap: Scoremap) -> Driven:
     stands = (int(np.floor(rows[-1])), int(np.floor(cols[-1])))
     if not inside[-1]:
         raise InputError(path, f"ends off the scoremap, at row {stands[0]}, column {stands[1]}")
+    notes = []
     if np.isnan(scoremap.score[stands]):
-        raise InputError(path, f"ends in cell {stands[0]},{stands[1]}, which is no-go", "give the start with --start")
+        ended, stands = stands, _nearest_go(path, scoremap.score, rows[-1], cols[-1])
+        notes = [f"{path}: ends in cell {ended[0]},{ended[1]}, which is no-go: planned from {stands[0]},{stands[1]}"]
     cells = _cells(path, rows, cols)
     on_map = ((cells >= 0) & (cells < np.array(grid.shape))).all(axis=1)
     if grid.crs is None:
@@ -98,7 +130,18 @@ def read_driven(path: Path, scoremap: Scoremap) -> Driven:
     blocked = [_stuck_cell(rows, cols, index, stands) for index, event in log.events if event == "stuck"]
     kept = [c for c in dict.fromkeys(blocked) if c != stands and 0 <= c[0] < grid.rows and 0 <= c[1] < grid.cols]
     time_s = float(log.time_s[-1] - log.time_s[0])
-    return Driven(cells[on_map], stands, kept, length_m, time_s, cells)
+    return Driven(cells[on_map], stands, kept, length_m, time_s, cells, notes)
+
+
+def _nearest_go(path: Path, score: NDArray[np.floating], row: float, col: float) -> tuple[int, int]:
+    """Return the cell that may be entered nearest to a place, at most `_BESIDE_CELLS` away."""
+    go = np.argwhere(~np.isnan(score))
+    away = np.hypot(go[:, 0] + 0.5 - row, go[:, 1] + 0.5 - col)
+    nearest = int(away.argmin())
+    if away[nearest] > _BESIDE_CELLS:
+        place = f"cell {math.floor(row)},{math.floor(col)}"
+        raise InputError(path, f"ends in {place}, far inside no-go ground", "give the start with --start")
+    return int(go[nearest, 0]), int(go[nearest, 1])
 
 
 def _on_grid(path: Path, log: DriveLog, grid: Grid) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

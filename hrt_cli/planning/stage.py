@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import itertools
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
@@ -14,40 +13,17 @@ from hrt_cli.artifacts.carriers import json_provenance, publish_json, read_stamp
 from hrt_cli.artifacts.jsonio import read_model
 from hrt_cli.artifacts.stage import REFUSE, Existing, begin
 from hrt_cli.errors import ArgumentError, InputError
+from hrt_cli.planning.document import plan_document, staying_document, team_document
 from hrt_cli.planning.planner import MOST_ROBOTS, plan_team, plans_alone
 from hrt_cli.planning.policy import Policy, default_policies_sha256
-from hrt_cli.planning.problem import Plan, Problem, TeamPlan
-from hrt_cli.planning.request import Spending, Start, budget_in_cells, start_cell
-from hrt_cli.planning.resume import Driven, mark_driven, read_driven
+from hrt_cli.planning.problem import NothingLeftError, Problem
+from hrt_cli.planning.request import PlanRequest, Spending, budget_in_cells, start_cell
+from hrt_cli.planning.resume import Driven, mark_driven, read_driven, read_drives
 from hrt_cli.progress import Progress, silent
-from hrt_cli.raster.grid import Grid
 from hrt_cli.raster.scoremap import Scoremap, read_scoremap
 
 STAGE = "plan"
 STAGE_VERSION = 3
-
-
-@dataclass(frozen=True)
-class PlanRequest:
-    """What to plan; see `Problem` and `hrt_cli.planning.planner.plan` for the meaning of each.
-
-    `starts` and `ends` hold one place for all robots or one for each; without `starts` the robots stand where their
-    earlier drives ended, without `ends` they may end anywhere.
-    """
-
-    starts: tuple[Start, ...]
-    budget: Spending
-    method: str = "refined"
-    objective: Literal["total", "discounted"] = "total"
-    gamma: float = 0.99
-    connectivity: Literal[4, 8] = 4
-    return_home: bool = False
-    ends: tuple[Start, ...] = ()
-    robots: int = 1
-    speed_m_s: float = 1.0
-    effort: float = 1.0
-    samples: int = 256
-    seed: int = 0
 
 
 @dataclass(frozen=True)
@@ -93,8 +69,9 @@ def plan_file(
     """Plan on the scoremap in `scoremap_path` and write the plan to `output`.
 
     With several robots `output` is the plan of the team, and the plan of each robot stands beside it (`robot_path`).
-    With `visited`, the drive logs of all robots or of one, cells that they went through pay nothing, what they spent
-    is taken off the budget, and the cells where they got stuck may not be entered.
+    With `visited`, the drive logs of all robots, of one, or of the successive drives of one robot, cells that they
+    went through pay nothing, what they spent is taken off the budget, and the cells where they got stuck may not be
+    entered.
 
     Raises
     ------
@@ -125,9 +102,12 @@ def plan_file(
     scoremap = read_scoremap(scoremap_path)
     policies = [read_policy(path) for path in policy_paths] or None
     driven = [read_driven(path, scoremap) for path in visited]
+    if request.robots == 1 and visited:
+        driven = [read_drives(visited, scoremap)]
+    notes = [note for each in driven for note in each.notes]
     try:
         problems, collected, blocked = _problems(scoremap, request, driven)
-        notes = [note for problem in problems for note in _pocket(problem)]
+        notes += [note for problem in problems for note in _pocket(problem)]
         found = plan_team(
             problems,
             request.method,
@@ -138,10 +118,16 @@ def plan_file(
             progress=progress,
         )
         plans = [found.together] if request.robots == 1 else plans_alone(problems, found)
+    except NothingLeftError as error:
+        if not request.or_stay or request.robots > 1:
+            raise ArgumentError(f"{scoremap_path}: {error}") from error
+        document = staying_document(scoremap, request, driven)
+        publish_json(output, document.model_dump(mode="json", exclude={"provenance"}), job.provenance)
+        return Planned(False, document, [document], 0.0, [*notes, f"{error}: the robot stays where it is"])
     except ArgumentError as error:
         raise ArgumentError(f"{scoremap_path}: {error}") from error
     robots = [
-        _document(each, problem, scoremap, request, collected, blocked)
+        plan_document(each, problem, scoremap, request, collected, blocked)
         for each, problem in zip(plans, problems, strict=True)
     ]
     for path, document in zip(files, robots, strict=True):
@@ -149,7 +135,7 @@ def plan_file(
     seconds = found.together.seconds
     if request.robots == 1:
         return Planned(False, robots[0], robots, seconds, notes)
-    team = _team_document(found, robots, files, request)
+    team = team_document(found, robots, files, request)
     publish_json(output, team.model_dump(mode="json", exclude={"provenance"}), job.provenance)
     return Planned(False, team, robots, seconds, notes)
 
@@ -157,7 +143,8 @@ def plan_file(
 def _check_counts(request: PlanRequest, visited: tuple[Path, ...]) -> None:
     if not 1 <= request.robots <= MOST_ROBOTS:
         raise ArgumentError(f"plans are made for 1 to {MOST_ROBOTS} robots, not {request.robots}")
-    for name, given in (("--start", request.starts), ("--end", request.ends), ("--visited", visited)):
+    drives = visited if request.robots > 1 else ()
+    for name, given in (("--start", request.starts), ("--end", request.ends), ("--visited", drives)):
         if len(given) > 1 and len(given) != request.robots:
             raise ArgumentError(
                 f"{name} is given {len(given)} times: once, or once for each of {request.robots} robots"
@@ -189,7 +176,7 @@ def _problems(
         if before is not None:
             spent = before.spent(left.unit, request.connectivity)
             if spent >= left.value:
-                raise ArgumentError(f"the earlier drive took {spent:g} {left.unit} of a budget of {left.value:g}")
+                raise NothingLeftError(f"the earlier drive took {spent:g} {left.unit} of a budget of {left.value:g}")
             left = Spending(left.value - spent, left.unit)
         problems.append(
             Problem(
@@ -256,126 +243,4 @@ def _parameters(request: PlanRequest, policy_paths: tuple[Path, ...]) -> dict[st
         "effort": request.effort,
         "samples": request.samples,
         "seed": request.seed,
-    }
-
-
-def _team_document(
-    found: TeamPlan, robots: list[artifact.PlanDocument], files: list[Path], request: PlanRequest
-) -> artifact.TeamPlanDocument:
-    together = found.together
-    members = [
-        artifact.TeamMember(
-            plan=path.name,
-            start=each.start,
-            end=each.end,
-            score=share,
-            steps=each.steps,
-            length_m=each.length_m,
-            time_s=each.time_s,
-            waypoints=len(each.waypoints),
-        )
-        for path, each, share in zip(files, robots, found.shares, strict=True)
-    ]
-    return artifact.TeamPlanDocument(
-        method=together.method,
-        seed=request.seed,
-        objective=request.objective,
-        gamma=request.gamma,
-        connectivity=request.connectivity,
-        score=together.score,
-        discounted_score=together.discounted_score,
-        upper_bound=together.upper_bound,
-        gap=together.gap,
-        discounted_upper_bound=together.discounted_upper_bound,
-        discounted_gap=together.discounted_gap,
-        steps=sum(each.steps for each in robots),
-        length_m=float(sum(each.length_m for each in robots)),
-        time_s=max(each.time_s for each in robots),
-        robots=members,
-    )
-
-
-def _document(
-    found: Plan,
-    problem: Problem,
-    scoremap: Scoremap,
-    request: PlanRequest,
-    collected: list[artifact.Cell],
-    blocked: list[artifact.Cell],
-) -> artifact.PlanDocument:
-    grid = scoremap.grid
-    cells = [(int(row), int(col)) for row, col in found.cells]
-    rows, cols = found.cells[:, 0] + 0.5, found.cells[:, 1] + 0.5
-    x, y = grid.xy(rows, cols)
-    xy = [(float(px), float(py)) for px, py in zip(x, y, strict=True)]
-    lonlat = None
-    if grid.crs is not None:
-        lon, lat = grid.lonlat(x, y)
-        # 10 decimals of a degree are 0.01 mm: enough for any format, and free of the last bits of PROJ's arithmetic.
-        lonlat = [(round(float(a), 10), round(float(b), 10)) for a, b in zip(lon, lat, strict=True)]
-        length_m = float(grid.ground_length_m(rows, cols).sum())
-    else:
-        steps = np.diff(found.cells, axis=0)
-        length_m = float(np.hypot(steps[:, 0], steps[:, 1]).sum() * scoremap.cell_size_m)
-    return artifact.PlanDocument(
-        method=found.method,
-        seed=request.seed,
-        objective=request.objective,
-        gamma=request.gamma,
-        connectivity=request.connectivity,
-        return_home=request.return_home,
-        budget=artifact.Budget(value=request.budget.value, unit=request.budget.unit, cells=problem.budget.limit),
-        grid=_grid(grid, scoremap.cell_size_m),
-        start=cells[0],
-        end=problem.end,
-        collected=collected,
-        blocked=blocked,
-        steps=len(cells) - 1,
-        score=found.score,
-        discounted_score=found.discounted_score,
-        upper_bound=found.upper_bound,
-        gap=found.gap,
-        discounted_upper_bound=found.discounted_upper_bound,
-        discounted_gap=found.discounted_gap,
-        length_m=length_m,
-        speed_m_s=request.speed_m_s,
-        time_s=length_m / request.speed_m_s,
-        waypoints=_waypoints(cells, xy, lonlat),
-        cells=cells,
-        xy=xy,
-        lonlat=lonlat,
-    )
-
-
-def _grid(grid: Grid, cell_size_m: float) -> artifact.Grid:
-    a, b, c, d, e, f = grid.transform[:6]
-    fake = grid.placeholder_georeference
-    return artifact.Grid(
-        rows=grid.rows,
-        cols=grid.cols,
-        transform=(a, b, c, d, e, f),
-        crs=grid.crs_text(),
-        cell_size_m=cell_size_m,
-        georeference="none" if grid.crs is None else "fake" if fake else "real",
-    )
-
-
-def _waypoints(
-    cells: list[artifact.Cell], xy: list[artifact.Point], lonlat: list[artifact.Point] | None
-) -> list[artifact.Waypoint]:
-    """Return the start, every cell where the walk turns, and the end: driven straight between them it is the walk."""
-    moves = [(r1 - r0, c1 - c0) for (r0, c0), (r1, c1) in itertools.pairwise(cells)]
-    turns = [step for step in range(1, len(moves)) if moves[step] != moves[step - 1]]
-    steps = sorted({0, *turns, len(cells) - 1})
-    return [
-        artifact.Waypoint(
-            index=index,
-            step=step,
-            cell=cells[step],
-            x=xy[step][0],
-            y=xy[step][1],
-            lon=lonlat[step][0] if lonlat else None,
-            lat=lonlat[step][1] if lonlat else None,
-        )
-        for index, step in enumerate(steps)
-    ]
+    } | ({"or_stay": True} if request.or_stay else {})

@@ -14,8 +14,8 @@ from hrt_cli.artifacts.png import png_provenance
 from hrt_cli.errors import DifferenceError, HrtError
 from hrt_cli.evaluation.plans import BASELINES, PLANNERS
 from hrt_cli.main import cli
-from hrt_cli.planning.request import parse_budget, parse_start
-from hrt_cli.planning.stage import PlanRequest, plan_file
+from hrt_cli.planning.request import PlanRequest, parse_budget, parse_start
+from hrt_cli.planning.stage import plan_file
 
 WORTH = {"score", "discounted_score", "fraction_of_bound", "fraction_of_discounted_bound"}
 

@@ -13,8 +13,8 @@ from rasterio.crs import CRS
 
 from hrt_cli.errors import InputError
 from hrt_cli.evaluation.plans import BASELINES, PLANNERS, Trials, evaluate_plans
-from hrt_cli.planning.request import parse_budget, parse_start
-from hrt_cli.planning.stage import PlanRequest, plan_file
+from hrt_cli.planning.request import PlanRequest, parse_budget, parse_start
+from hrt_cli.planning.stage import plan_file
 
 
 def planned(scoremap: Path, path: Path, budget: str = "30", start: str = "cell:3,4", **options: object) -> Path:

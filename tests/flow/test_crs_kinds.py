@@ -15,8 +15,8 @@ from hrt_cli.drivability.stage import make_scoremap
 from hrt_cli.errors import InputError
 from hrt_cli.missions.mission import MissionOptions
 from hrt_cli.missions.stage import export_file
-from hrt_cli.planning.request import parse_budget, parse_start
-from hrt_cli.planning.stage import PlanRequest, plan_file
+from hrt_cli.planning.request import PlanRequest, parse_budget, parse_start
+from hrt_cli.planning.stage import plan_file
 from hrt_cli.texture.segment import SegmentSpec
 from hrt_cli.texture.stage import Wanted, segment_file
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hrt_cli.planning.stage import _waypoints
+from hrt_cli.planning.document import waypoints_of
 
 MOVES = [(-1, -1), (-1, 0), (-1, 1), (0, -1), (0, 1), (1, -1), (1, 0), (1, 1)]
 
@@ -24,7 +24,7 @@ def sign(value: int) -> int:
 @given(st.lists(st.sampled_from(MOVES), max_size=40))
 def test_straight_legs_between_waypoints_are_the_walk(moves: list[tuple[int, int]]) -> None:
     cells = walk(moves)
-    found = _waypoints(cells, [(float(c), float(-r)) for r, c in cells], None)
+    found = waypoints_of(cells, [(float(c), float(-r)) for r, c in cells], None)
     driven = [found[0].cell]
     for waypoint in found[1:]:
         while driven[-1] != waypoint.cell:
@@ -37,4 +37,4 @@ def test_straight_legs_between_waypoints_are_the_walk(moves: list[tuple[int, int
 
 def test_a_turn_at_the_first_step_and_a_reversal_are_kept() -> None:
     cells = [(0, 0), (0, 1), (1, 1), (1, 2), (1, 1)]
-    assert [w.step for w in _waypoints(cells, [(0.0, 0.0)] * 5, None)] == [0, 1, 2, 3, 4]
+    assert [w.step for w in waypoints_of(cells, [(0.0, 0.0)] * 5, None)] == [0, 1, 2, 3, 4]

@@ -14,8 +14,8 @@ from hrt_cli.artifacts.png import png_provenance
 from hrt_cli.artifacts.provenance import record
 from hrt_cli.artifacts.stage import REFUSE, Existing
 from hrt_cli.errors import InputError, OutputError
-from hrt_cli.planning.request import parse_budget, parse_start
-from hrt_cli.planning.stage import PlanRequest, plan_file
+from hrt_cli.planning.request import PlanRequest, parse_budget, parse_start
+from hrt_cli.planning.stage import plan_file
 from hrt_cli.raster.grid import Grid
 from hrt_cli.raster.scoremap import Scoremap, publish_scoremap
 from hrt_cli.report.overlay import _extent, _place, _round_length, draw_plan, draw_scoremap

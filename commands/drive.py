@@ -1,0 +1,81 @@
+"""`hrt drive`: a simulated robot drives a plan on a site."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from pathlib import Path
+
+import click
+
+from hrt_cli import options as opt
+from hrt_cli.artifacts.stage import Existing
+from hrt_cli.progress import Console
+
+
+@click.command(
+    epilog="""\b
+Example:
+  hrt synth site --scene meadow --size 40
+  hrt segment site/ortho.tif -o site/classes.tif --classes 6
+  hrt scoremap site/classes.tif -o site/scoremap.tif
+  hrt plan site/scoremap.tif -o site/plan.json --start auto --budget 5min
+  hrt drive site/plan.json --world site -o site/drive.jsonl --local expert
+"""
+)
+@click.argument("plan", type=opt.PATH)
+@click.option(
+    "--world",
+    type=opt.PATH,
+    required=True,
+    help="Folder of the site: ortho.tif, dsm.tif and, where the truth is known, truth.tif and world.json.",
+)
+@opt.output_opt
+@click.option(
+    "--local",
+    type=click.Choice(["pursuit", "expert"]),
+    default="pursuit",
+    show_default=True,
+    help="Who steers between waypoints: pursuit follows the path and sees nothing; the expert sees the site as it is.",
+)
+@click.option(
+    "--vehicle", type=click.Choice(["ugv", "auv"]), help="Default: auv where the site is under water, else ugv."
+)
+@click.option("--after", type=opt.PATH, help="Log of the drive that this one goes on from: it begins where that ended.")
+@click.option(
+    "--time-limit",
+    "time_limit_s",
+    type=opt.FiniteFloat(0, low_open=True),
+    help="End after so many seconds. Default: the plan's budget where that is in minutes.",
+)
+@opt.seed_opt
+@opt.existing_options
+@opt.console_options
+def drive(
+    plan: Path,
+    world: Path,
+    output: Path,
+    local: str,
+    vehicle: str | None,
+    after: Path | None,
+    time_limit_s: float | None,
+    seed: int,
+    existing: Existing,
+    console: Console,
+) -> None:
+    """Drive PLAN on a site in simulation and log what the robot would have logged, never the truth.
+
+    The drive ends at the plan's end, when the robot is stuck, or when its time is over.
+    """
+    from hrt_cli.driving.stage import DriveRequest, drive_file
+
+    request = DriveRequest(local=local, vehicle=vehicle, time_limit_s=time_limit_s, seed=seed)
+    with console.bar("drive") as progress:
+        done = drive_file(plan, world, output, request, after=after, existing=existing, progress=progress)
+    for note in done.notes:
+        console.note(f"Note: {note}")
+    state = " (up to date)" if done.up_to_date else ""
+    console.result(
+        f"{output}: {done.end} at {done.place[0]:.2f}, {done.place[1]:.2f} after {done.distance_m:.0f} m and "
+        f"{done.duration_s:.0f} s, {done.collisions} collisions, {done.interventions} interventions{state}",
+        {"output": str(output), **asdict(done)},
+    )

@@ -1,0 +1,130 @@
+"""The expert: a local planner that sees the site as it is, to drive well and to show a learner what it ought to do."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from hrt_cli.driving.course import Carrot, Course
+from hrt_cli.driving.field import CostMap, cost_map, follow, is_clear, ways_to
+from hrt_cli.driving.local import Command, Pose, steer_to
+from hrt_cli.driving.motion import sample
+from hrt_cli.driving.vehicle import Vehicle
+from hrt_cli.world.site import Site
+
+_TARGET_M = 3.0
+"""How far ahead on the course the expert looks for its next place."""
+_REACHED_M = 0.5
+_LONGEST_DETOUR_S = 150.0
+"""Cost, in seconds at 1 m/s, beyond which it leaves a place out and goes for a later one."""
+_REACH_CELLS = (5, 4, 3, 2, 1)
+"""How far down its way it aims: the farthest of these that it can go straight to."""
+
+_AHEAD_M = (0.3, 0.6, 1.0, 1.5, 2.0, 2.6, 3.2, 4.0)
+"""How far ahead over the bottom an AUV looks."""
+_SLOWEST = 0.45
+"""Share of its speed that an AUV keeps: enough to make way against a current."""
+_SLOPE_IS_STEEP = 0.8
+"""Share of the steepest pitch from which on an AUV slows down."""
+
+
+class GroundExpert:
+    """Go to the next place on the course by the cheapest way over the ground as it is.
+
+    Obstacles are kept clear of, good ground is preferred, and places of the course that cannot be reached are left
+    out.
+    """
+
+    name = "expert"
+    sees_truth = True
+
+    def __init__(self, site: Site, course: Course, vehicle: Vehicle) -> None:
+        self._course = course
+        self._map: CostMap = cost_map(site, vehicle.radius_m)
+        self._to_go = np.full(self._map.cost.shape, np.inf, np.float32)
+        self._target: tuple[float, float] | None = None
+        self._target_m = 0.0
+        self.along_m = 0.0
+
+    def decide(self, pose: Pose) -> Command | None:
+        """See `LocalPlanner`."""
+        if self._target is not None:
+            left = math.hypot(self._target[0] - pose.east_m, self._target[1] - pose.south_m)
+            if left < _REACHED_M or (left < _TARGET_M / 2 and self._target_m < self._course.length_m):
+                self.along_m = self._target_m
+                self._target = None
+        here = self._map.cell(pose.east_m, pose.south_m)
+        if (self._target is None or not math.isfinite(float(self._to_go[here]))) and not self._choose(pose):
+            return None
+        return steer_to(pose, *self._aim(pose, here))
+
+    def _choose(self, pose: Pose) -> bool:
+        """Take the next place on the course that can be reached, or say that there is none."""
+        ahead = self.along_m + _TARGET_M
+        end = self._course.length_m
+        while True:
+            at = min(ahead, end)
+            place = self._course.point(at)
+            if self._map.passable(*place) and self._search(place, pose):
+                self._target, self._target_m = place, at
+                return True
+            if at >= end:
+                return False
+            ahead = at + self._map.cell_m
+
+    def _search(self, place: tuple[float, float], pose: Pose) -> bool:
+        row, col = self._map.cell(*place)
+        here = self._map.cell(pose.east_m, pose.south_m)
+        cost = ways_to(self._map.cost, self._map.cell_m, row, col, here[0], here[1], _LONGEST_DETOUR_S, self._to_go)
+        return math.isfinite(cost)
+
+    def _aim(self, pose: Pose, here: tuple[int, int]) -> tuple[float, float]:
+        assert self._target is not None
+        cell_m = self._map.cell_m
+        if math.hypot(self._target[0] - pose.east_m, self._target[1] - pose.south_m) < 2.0 * cell_m:
+            return self._target
+        for cells in _REACH_CELLS:
+            row, col = follow(self._to_go, self._map.cost, here[0], here[1], cells)
+            east, south = (col + 0.5) * cell_m, (row + 0.5) * cell_m
+            if cells == 1 or is_clear(self._map.cost, cell_m, pose.east_m, pose.south_m, east, south):
+                return east, south
+        return self._target
+
+
+class WaterExpert:
+    """Follow the course at `altitude_m` over the bottom, climbing early enough for what rises ahead."""
+
+    name = "expert"
+    sees_truth = True
+
+    def __init__(self, site: Site, course: Course, vehicle: Vehicle) -> None:
+        self._site, self._vehicle = site, vehicle
+        self._carrot = Carrot(course, vehicle.lookahead_m)
+
+    @property
+    def along_m(self) -> float:
+        """See `LocalPlanner`."""
+        return self._carrot.along_m
+
+    def decide(self, pose: Pose) -> Command | None:
+        """See `LocalPlanner`."""
+        aim = self._carrot.aim(pose.east_m, pose.south_m)
+        climb = self.climb_rad(pose)
+        limit = self._vehicle.pitch_limit_rad
+        command = steer_to(pose, *aim, pitch=max(-1.0, min(1.0, climb / limit)))
+        steep = max(0.0, climb / limit - _SLOPE_IS_STEEP) / (1.0 - _SLOPE_IS_STEEP)
+        return Command(command.yaw, command.pitch, command.speed * max(_SLOWEST, 1.0 - steep))
+
+    def climb_rad(self, pose: Pose) -> float:
+        """Return the pitch that keeps the altitude over the highest of what lies ahead."""
+        clear = self._vehicle.altitude_m
+        east, south = math.sin(pose.heading_rad), -math.cos(pose.heading_rad)
+        steepest = -math.inf
+        for ahead in _AHEAD_M:
+            for aside in (-0.4, 0.0, 0.4):
+                x = pose.east_m + ahead * east - aside * south
+                y = pose.south_m + ahead * south + aside * east
+                top = sample(self._site.surface_m, self._site.pixel_m, x, y)
+                steepest = max(steepest, math.atan2(top + clear - pose.height_m, ahead + 0.5))
+        return steepest

@@ -1,0 +1,158 @@
+"""The cheapest way to a place over the ground as it is: Dijkstra's search on a grid, outwards from the place."""
+
+from __future__ import annotations
+
+import heapq
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import cv2
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from hrt_cli.world.site import Site
+
+kernel: Any = njit(cache=True, nogil=True)
+
+CELL_M = 0.2
+_SLOWEST = 0.08
+"""Ground slower than this share of the commanded speed is not entered."""
+_COMFORT_M = 0.8
+"""Nearer to an obstacle than its radius and this, a robot pays for it: up to `_FEAR` times the way."""
+_FEAR = 6.0
+
+
+@dataclass(frozen=True)
+class CostMap:
+    """What a metre of way costs, in seconds at 1 m/s, on cells of `cell_m`; infinite where the robot may not be.
+
+    `cost` is float32 [rows, cols].
+    """
+
+    cost: NDArray[np.float32]
+    cell_m: float
+
+    def cell(self, east_m: float, south_m: float) -> tuple[int, int]:
+        """Return the cell of a place, the nearest one on the map."""
+        rows, cols = self.cost.shape
+        return (
+            min(max(int(south_m / self.cell_m), 0), rows - 1),
+            min(max(int(east_m / self.cell_m), 0), cols - 1),
+        )
+
+    def passable(self, east_m: float, south_m: float) -> bool:
+        """Whether the robot may be at a place."""
+        return math.isfinite(float(self.cost[self.cell(east_m, south_m)]))
+
+
+def cost_map(site: Site, radius_m: float) -> CostMap:
+    """Return the cost of driving on a site for a robot that knows all of it."""
+    step = max(1, round(CELL_M / site.pixel_m))
+    rows, cols = -(-site.grid.rows // step), -(-site.grid.cols // step)
+    pad = ((0, rows * step - site.grid.rows), (0, cols * step - site.grid.cols))
+
+    def blocks(layer: NDArray[Any], fill: float) -> NDArray[np.float32]:
+        padded = np.pad(layer.astype(np.float32), pad, constant_values=fill)
+        return padded.reshape(rows, step, cols, step)
+
+    room = blocks(np.minimum(site.clearance_m, 99.0), 0.0).min(axis=(1, 3))
+    speed = blocks(site.speed_factor, 0.0).mean(axis=(1, 3))
+    rim = blocks(_rim_distance(site), 0.0).min(axis=(1, 3))
+    spare = np.minimum(room, rim) - radius_m
+    near = np.clip(1.0 - spare / _COMFORT_M, 0.0, 1.0)
+    cost = (1.0 + _FEAR * near * near) / np.maximum(speed, _SLOWEST)
+    cost[(spare < 0.02) | (speed < _SLOWEST)] = np.inf
+    return CostMap(np.ascontiguousarray(cost, np.float32), step * site.pixel_m)
+
+
+def _rim_distance(site: Site) -> NDArray[np.float32]:
+    """Return the distance of each pixel to what the survey did not see, the raster's edge included."""
+    seen = np.pad(site.seen.astype(np.uint8), 1)
+    return np.asarray(cv2.distanceTransform(seen, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)[1:-1, 1:-1] * site.pixel_m)
+
+
+@kernel
+def ways_to(
+    cost: NDArray[np.float32],
+    cell_m: float,
+    row: int,
+    col: int,
+    until_row: int,
+    until_col: int,
+    limit: float,
+    to_go: NDArray[np.float32],
+) -> float:
+    """Fill `to_go` [rows, cols] with the costs of the cheapest ways to (row, col); return that of the cell asked for.
+
+    Infinite where it was not found out: the search ends when the cell asked for is settled or the cost exceeds
+    `limit`. A way goes between 8 neighbours; a diagonal passes no corner that is blocked.
+    """
+    rows, cols = cost.shape
+    to_go[:] = np.inf
+    to_go[row, col] = 0.0
+    heap = [(np.float32(0.0), row * cols + col)]
+    while heap:
+        done, at = heapq.heappop(heap)
+        r, c = at // cols, at % cols
+        if done > to_go[r, c]:
+            continue
+        if (r == until_row and c == until_col) or done > limit:
+            break
+        for dr in range(-1, 2):
+            for dc in range(-1, 2):
+                nr, nc = r + dr, c + dc
+                if (dr == 0 and dc == 0) or nr < 0 or nc < 0 or nr >= rows or nc >= cols:
+                    continue
+                if not np.isfinite(cost[nr, nc]) and not (nr == until_row and nc == until_col):
+                    continue
+                if dr != 0 and dc != 0 and not (np.isfinite(cost[r, nc]) and np.isfinite(cost[nr, c])):
+                    continue
+                here = min(cost[r, c], np.float32(50.0))
+                there = min(cost[nr, nc], np.float32(50.0))
+                length = cell_m * (math.sqrt(2.0) if dr != 0 and dc != 0 else 1.0)
+                new = np.float32(done + 0.5 * (here + there) * length)
+                if new < to_go[nr, nc]:
+                    to_go[nr, nc] = new
+                    heapq.heappush(heap, (new, nr * cols + nc))
+    return float(to_go[until_row, until_col])
+
+
+@kernel
+def follow(to_go: NDArray[np.float32], cost: NDArray[np.float32], row: int, col: int, cells: int) -> tuple[int, int]:
+    """Return the cell that is `cells` steps down the cheapest way from (row, col), as `ways_to` found it."""
+    rows, cols = to_go.shape
+    for _ in range(cells):
+        best, br, bc = to_go[row, col], row, col
+        for dr in range(-1, 2):
+            for dc in range(-1, 2):
+                r, c = row + dr, col + dc
+                if r < 0 or c < 0 or r >= rows or c >= cols or to_go[r, c] >= best:
+                    continue
+                if dr != 0 and dc != 0 and not (np.isfinite(cost[row, c]) and np.isfinite(cost[r, col])):
+                    continue
+                best, br, bc = to_go[r, c], r, c
+        if br == row and bc == col:
+            break
+        row, col = br, bc
+    return row, col
+
+
+@kernel
+def is_clear(
+    cost: NDArray[np.float32], cell_m: float, east0: float, south0: float, east1: float, south1: float
+) -> bool:
+    """Whether the straight way between two places stays on cells that may be entered, but for the one it starts in."""
+    length = math.hypot(east1 - east0, south1 - south0)
+    count = int(length / (0.25 * cell_m)) + 1
+    rows, cols = cost.shape
+    first_r, first_c = int(south0 / cell_m), int(east0 / cell_m)
+    for k in range(1, count + 1):
+        part = k / count
+        r, c = int((south0 + part * (south1 - south0)) / cell_m), int((east0 + part * (east1 - east0)) / cell_m)
+        if r == first_r and c == first_c:
+            continue
+        if r < 0 or c < 0 or r >= rows or c >= cols or not np.isfinite(cost[r, c]):
+            return False
+    return True

@@ -1,0 +1,106 @@
+"""The local planners' common ground: what one knows at a moment, what it commands, and the simplest, pure pursuit."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Protocol
+
+from hrt_cli.driving.course import Carrot, Course
+from hrt_cli.driving.vehicle import Vehicle
+
+_SLOW_RAD = math.radians(70.0)
+"""Heading error at which a robot turns on the spot."""
+_FULL_RAD = math.radians(45.0)
+"""Heading error at which it turns as fast as it can: where yaw is 1."""
+
+
+@dataclass(frozen=True)
+class Pose:
+    """Where a robot is, as it knows (the expert: as it is): metres and radians as in `world.site`; height absolute."""
+
+    east_m: float
+    south_m: float
+    height_m: float
+    heading_rad: float
+    pitch_rad: float
+
+
+@dataclass(frozen=True)
+class Command:
+    """What a local planner wants.
+
+    Attributes
+    ----------
+    yaw : float
+        Steering in [-1, 1], right positive: 1 is a heading error of 45 degrees or more.
+    pitch : float
+        Nose up in [-1, 1], as a share of the robot's steepest pitch; 0 on the ground.
+    speed : float
+        Share of the cruising speed in [0, 1].
+    """
+
+    yaw: float
+    pitch: float = 0.0
+    speed: float = 1.0
+
+
+class LocalPlanner(Protocol):
+    """Steers a robot along a course."""
+
+    name: str
+    sees_truth: bool
+    """Whether it is told its true pose; else as it is measured."""
+
+    def decide(self, pose: Pose) -> Command | None:
+        """Return the command at this moment; None where it sees no way on."""
+
+    @property
+    def along_m(self) -> float:
+        """How far along the course the robot has come."""
+
+
+def wrapped(angle_rad: float) -> float:
+    """Return an angle in [-pi, pi)."""
+    return (angle_rad + math.pi) % (2 * math.pi) - math.pi
+
+
+def steer_to(pose: Pose, east_m: float, south_m: float, pitch: float = 0.0) -> Command:
+    """Return the command that heads for a place, slower the more it has to turn."""
+    error = wrapped(math.atan2(east_m - pose.east_m, -(south_m - pose.south_m)) - pose.heading_rad)
+    speed = max(0.0, 1.0 - abs(error) / _SLOW_RAD)
+    return Command(max(-1.0, min(1.0, error / _FULL_RAD)), pitch, speed)
+
+
+class Pursuit:
+    """Follow the course by pure pursuit (Coulter 1992): aim at the point `lookahead_m` ahead on it.
+
+    It sees nothing. The AUV keeps the depth at which it began.
+    """
+
+    name = "pursuit"
+    sees_truth = False
+
+    def __init__(self, course: Course, vehicle: Vehicle) -> None:
+        self._carrot, self._vehicle = Carrot(course, vehicle.lookahead_m), vehicle
+        self._depth_m: float | None = None
+
+    @property
+    def along_m(self) -> float:
+        """See `LocalPlanner`."""
+        return self._carrot.along_m
+
+    def decide(self, pose: Pose) -> Command | None:
+        """See `LocalPlanner`."""
+        if self._depth_m is None:
+            self._depth_m = pose.height_m
+        aim = self._carrot.aim(pose.east_m, pose.south_m)
+        return steer_to(pose, *aim, pitch=level_pitch(self._vehicle, pose, self._depth_m))
+
+
+def level_pitch(vehicle: Vehicle, pose: Pose, height_m: float) -> float:
+    """Return the pitch, as a share of the steepest, that brings an AUV to a height within two metres of way."""
+    if vehicle.pitch_limit_rad == 0.0:
+        return 0.0
+    wanted = math.atan2(height_m - pose.height_m, 2.0)
+    return max(-1.0, min(1.0, wanted / vehicle.pitch_limit_rad))

@@ -1,0 +1,255 @@
+"""The drive stage: a plan and a site become the log of a drive."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from rasterio.crs import CRS
+from rasterio.errors import CRSError
+
+from hrt_cli.artifacts.drivelog import Header, Robot, drive_provenance, publish_drive_log, read_drive_log
+from hrt_cli.artifacts.plan import PlanDocument, read_plan
+from hrt_cli.artifacts.stage import REFUSE, Existing, begin
+from hrt_cli.driving.course import Course
+from hrt_cli.driving.expert import GroundExpert, WaterExpert
+from hrt_cli.driving.local import LocalPlanner, Pursuit
+from hrt_cli.driving.simulator import Drive, Setting, first_heading, simulate
+from hrt_cli.driving.vehicle import VEHICLES, Vehicle
+from hrt_cli.errors import ArgumentError, InputError
+from hrt_cli.progress import Progress, silent
+from hrt_cli.raster.grid import transform_points
+from hrt_cli.world.site import Site, load_site, site_files
+
+STAGE = "drive"
+STAGE_VERSION = 1
+
+LOCAL_PLANNERS = ("pursuit", "expert")
+
+_FARTHEST_MOVED_M = 3.0
+"""A robot put down on an obstacle is moved to free ground that is no farther away."""
+
+
+@dataclass(frozen=True)
+class DriveRequest:
+    """How to drive.
+
+    Attributes
+    ----------
+    local : 'pursuit' or 'expert'
+    vehicle : 'ugv', 'auv' or None
+        None: the AUV under water, else the UGV.
+    time_limit_s : float or None
+        The drive ends after so long. None: the plan's budget where that is in minutes, else never.
+    seed : int
+    """
+
+    local: str = "pursuit"
+    vehicle: str | None = None
+    time_limit_s: float | None = None
+    seed: int = 0
+
+
+@dataclass(frozen=True)
+class DriveSummary:
+    """What a drive came to.
+
+    Attributes
+    ----------
+    up_to_date : bool
+    end : str
+        'arrived', 'stuck' or 'out of time'.
+    place : (float, float)
+        Where it ended, x and y in the site's CRS.
+    distance_m, duration_s : float
+    collisions, interventions : int
+    notes : list of str
+    """
+
+    up_to_date: bool
+    end: str
+    place: tuple[float, float]
+    distance_m: float
+    duration_s: float
+    collisions: int
+    interventions: int
+    notes: list[str]
+
+
+def drive_file(
+    plan_path: Path,
+    world: Path,
+    output: Path,
+    request: DriveRequest,
+    *,
+    after: Path | None = None,
+    existing: Existing = REFUSE,
+    progress: Progress = silent,
+) -> DriveSummary:
+    """Drive a plan on a site and write the log.
+
+    Parameters
+    ----------
+    plan_path, world, output : Path
+        The plan of one robot, the folder of the site, and the log (`.jsonl`).
+    request : DriveRequest
+    after : Path, optional
+        Log of the drive that this one goes on from: the robot begins where that ended.
+
+    Raises
+    ------
+    InputError
+        The plan or the site cannot be used, or do not belong together.
+    ArgumentError
+        The robot cannot be put down at the start.
+    OutputError
+        See `hrt_cli.artifacts.stage.begin`.
+    """
+    files = site_files(world)
+    inputs = {"plan": plan_path, **files} | ({"after": after} if after else {})
+    parameters: dict[str, Any] = {
+        "local": request.local,
+        "vehicle": request.vehicle,
+        "time_limit_s": request.time_limit_s,
+        "seed": request.seed,
+    }
+    outputs: Mapping[Path, Any] = {output: drive_provenance}
+    if output.suffix.lower() != ".jsonl":
+        raise ArgumentError(f"{output}: a drive log is written as .jsonl")
+    job = begin(STAGE, STAGE_VERSION, inputs=inputs, parameters=parameters, outputs=outputs, existing=existing)
+    plan = read_plan(plan_path)
+    notes: list[str] = []
+    if not job.up_to_date:
+        site = load_site(world)
+        vehicle = VEHICLES[request.vehicle or ("auv" if site.under_water else "ugv")]
+        course, notes = _course(plan, plan_path, site, vehicle, after)
+        setting = Setting(
+            site=site,
+            vehicle=vehicle,
+            course=course,
+            cruise_m_s=plan.speed_m_s,
+            limit_s=_limit_s(plan, request),
+            heading_rad=first_heading(course),
+            seed=request.seed,
+        )
+        drive = simulate(setting, local_planner(request.local, setting), progress=progress)
+        robot = Robot(kind=vehicle.kind, radius_m=vehicle.radius_m)
+        header = Header(format="hrt-drive-log", crs=site.grid.crs_text(), robot=robot, end=drive.end)
+        publish_drive_log(output, header, _records(drive, site, vehicle), job.provenance)
+    return _summary(output, job.up_to_date, notes)
+
+
+def local_planner(name: str, setting: Setting) -> LocalPlanner:
+    """Return the local planner of a name."""
+    if name == "pursuit":
+        return Pursuit(setting.course, setting.vehicle)
+    expert = GroundExpert if setting.vehicle.kind == "ugv" else WaterExpert
+    return expert(setting.site, setting.course, setting.vehicle)
+
+
+def _limit_s(plan: PlanDocument, request: DriveRequest) -> float:
+    if request.time_limit_s is not None:
+        return request.time_limit_s
+    if plan.budget.unit == "min":
+        return plan.budget.cells * plan.grid.cell_size_m / plan.speed_m_s
+    return math.inf
+
+
+def _course(
+    plan: PlanDocument, path: Path, site: Site, vehicle: Vehicle, after: Path | None
+) -> tuple[Course, list[str]]:
+    """Return the line to drive, from where the robot really stands, and what the user ought to know of it."""
+    points = _on_site(path, np.array(plan.xy), plan.grid.crs, site)
+    wanted = points[0]
+    if after is not None:
+        log = read_drive_log(after)
+        crs = "EPSG:4326" if log.geographic else log.crs
+        wanted = _on_site(after, log.place[-1:], crs, site)[0]
+    start = _free_place(site, wanted, vehicle)
+    if start is None:
+        raise ArgumentError(f"{path}: its start lies on an obstacle or off the survey, and no free ground is near")
+    moved = float(np.hypot(*(start - wanted)))
+    notes = [f"the robot is put down {moved:.1f} m beside the start, which is blocked"] if moved > 0.5 else []
+    return Course(np.vstack([start, points[1:] if len(points) > 1 else points])), notes
+
+
+def _on_site(path: Path, xy: NDArray[np.float64], crs: str | None, site: Site) -> NDArray[np.float64]:
+    if crs is None:
+        raise InputError(path, "has no coordinate reference system, so it has no place on a site")
+    try:
+        source = CRS.from_user_input(crs)
+        x, y = xy[:, 0], xy[:, 1]
+        if source != site.grid.crs:
+            assert site.grid.crs is not None
+            x, y = transform_points(source, site.grid.crs, x, y)
+    except (CRSError, ValueError) as error:
+        raise InputError(path, f"cannot be laid on the site: {error}") from error
+    places = site.places(np.asarray(x, np.float64), np.asarray(y, np.float64))
+    extent = np.array([site.grid.cols, site.grid.rows]) * site.pixel_m
+    if not ((places >= 0) & (places <= extent)).all(axis=1).any():
+        raise InputError(path, "lies wholly off the site")
+    return places
+
+
+def _free_place(site: Site, wanted: NDArray[np.float64], vehicle: Vehicle) -> NDArray[np.float64] | None:
+    """Return the place nearest to `wanted` where the robot touches nothing, if there is one near."""
+    reach = int(_FARTHEST_MOVED_M / site.pixel_m)
+    row, col = site.pixel(float(wanted[0]), float(wanted[1]))
+    r0, c0 = max(row - reach, 0), max(col - reach, 0)
+    part = np.s_[r0 : max(row + reach + 1, 0), c0 : max(col + reach + 1, 0)]
+    free = site.seen[part].copy()
+    if vehicle.kind == "ugv":
+        free &= site.clearance_m[part] > vehicle.radius_m + site.pixel_m
+    if not free.any():
+        return None
+    rows, cols = np.nonzero(free)
+    places = np.stack([cols + c0 + 0.5, rows + r0 + 0.5], axis=1) * site.pixel_m
+    away = np.hypot(*(places - wanted).T)
+    nearest = int(away.argmin())
+    return wanted if away[nearest] <= site.pixel_m else places[nearest]
+
+
+def _records(drive: Drive, site: Site, vehicle: Vehicle) -> list[dict[str, Any]]:
+    """Return the records of a log: what a robot knows, in the site's CRS."""
+    x, y = site.map_xy(drive.records[:, 1:3])
+    happened = dict(drive.events)
+    up = site.up_bearing_rad
+    digits = 8 if site.grid.crs is not None and site.grid.crs.is_geographic else 3
+    records = []
+    for k, (t, _, _, heading, pitch, height, speed, commanded) in enumerate(drive.records.tolist()):
+        record: dict[str, Any] = {
+            "t": round(t, 2),
+            "x": round(float(x[k]), digits),
+            "y": round(float(y[k]), digits),
+            "speed_m_s": round(speed, 3),
+            "commanded_m_s": round(commanded, 3),
+            "heading_deg": round(math.degrees(heading + up) % 360.0, 1),
+        }
+        if vehicle.kind == "auv":
+            record |= {"pitch_deg": round(math.degrees(pitch), 1), "depth_m": round(-height, 3)}
+        if k in happened:
+            record["event"] = happened[k]
+        records.append(record)
+    return records
+
+
+def _summary(path: Path, up_to_date: bool, notes: list[str]) -> DriveSummary:
+    """Say what a log comes to."""
+    log = read_drive_log(path)
+    events = [event for _, event in log.events]
+    speed = 0.5 * (log.speed_m_s[1:] + log.speed_m_s[:-1])
+    return DriveSummary(
+        up_to_date=up_to_date,
+        end=log.end or "unknown",
+        place=(float(log.place[-1, 0]), float(log.place[-1, 1])),
+        distance_m=float((speed * np.diff(log.time_s)).sum()),
+        duration_s=float(log.time_s[-1] - log.time_s[0]),
+        collisions=events.count("collision"),
+        interventions=events.count("intervention"),
+        notes=notes,
+    )
