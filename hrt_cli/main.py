@@ -8,22 +8,19 @@ from __future__ import annotations
 
 import errno
 import gc
-import importlib
 import io
 import os
 import signal
 import sys
 from types import FrameType
-from typing import TYPE_CHECKING, NoReturn
+from typing import NoReturn
 
 import click
 
 from hrt_cli import __version__
 from hrt_cli.errors import HrtError
+from hrt_cli.lazy import LazyGroup
 from hrt_cli.progress import abandon_stdout, to_stderr
-
-if TYPE_CHECKING:
-    from importlib.metadata import EntryPoint
 
 _GARBAGE = 500_000
 """New containers before the collector of cycles looks: importing numba makes so many that at Python's own 700 it looks
@@ -50,10 +47,11 @@ COMMANDS = {
         "hrt_commands.drive:drive",
         "Drive PLAN on a site in simulation and log what the robot would have logged, never the truth.",
     ),
-    "evaluate": ("hrt_commands.evaluate:evaluate", "Measure a segmentation or plans against the truth."),
+    "evaluate": ("hrt_commands.evaluate:evaluate", "Measure a segmentation, plans or drives."),
     "verify": ("hrt_commands.verify:verify", "Check artifacts against the provenance they carry."),
 }
 """Subcommand -> (module:attribute, the first paragraph of its help, so that `hrt --help` imports none of them)."""
+
 
 PLUGIN_GROUP = "hrt.commands"
 
@@ -70,27 +68,9 @@ class Stopped(BaseException):
         self.signum = signum
 
 
-class LazyGroup(click.Group):
-    """A group that imports a subcommand only when it is run, from the table or from installed plugins."""
-
-    def list_commands(self, ctx: click.Context) -> list[str]:  # noqa: D102
-        return [*COMMANDS, *sorted(set(_plugins()) - set(COMMANDS))]
-
-    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:  # noqa: D102
-        if cmd_name not in COMMANDS:
-            plugin = _plugins().get(cmd_name)
-            return None if plugin is None else _load(plugin)
-        module, _, attribute = COMMANDS[cmd_name][0].partition(":")
-        command: click.Command = getattr(importlib.import_module(module), attribute)
-        return command
-
-    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:  # noqa: D102
-        rows = [(name, COMMANDS[name][1] if name in COMMANDS else "(plugin)") for name in self.list_commands(ctx)]
-        with formatter.section("Commands"):
-            formatter.write_dl(rows)
-
-
-@click.group(cls=LazyGroup, context_settings={"help_option_names": ["-h", "--help"]})
+@click.group(
+    cls=LazyGroup, table=COMMANDS, plugins=PLUGIN_GROUP, context_settings={"help_option_names": ["-h", "--help"]}
+)
 @click.version_option(__version__, prog_name="hrt")
 def cli() -> None:
     """Turn one UAV survey of a site into a robot that can work there.
@@ -150,23 +130,6 @@ def _fail(message: str, code: int) -> int:
 
 def _stop(signum: int, frame: FrameType | None) -> None:
     raise Stopped(signum)
-
-
-def _plugins() -> dict[str, EntryPoint]:
-    from importlib.metadata import entry_points
-
-    return {point.name: point for point in entry_points(group=PLUGIN_GROUP)}
-
-
-def _load(plugin: EntryPoint) -> click.Command:
-    try:
-        command = plugin.load()
-    except Exception as error:
-        where = f"{plugin.name!r} ({plugin.value})"
-        raise HrtError(f"the plugin {where} cannot be loaded: {type(error).__name__}: {error}") from error
-    if not isinstance(command, click.Command):
-        raise HrtError(f"the plugin {plugin.name!r} ({plugin.value}) is not a click command")
-    return command
 
 
 def _fill_closed_descriptors() -> None:

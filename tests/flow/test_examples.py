@@ -12,7 +12,7 @@ import pytest
 from hrt_cli.main import COMMANDS
 
 ENV = {**os.environ, "PATH": f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"}
-NAMES = [name for name in COMMANDS if name != "evaluate"] + ["evaluate segment", "evaluate plan"]
+NAMES = [name for name in COMMANDS if name != "evaluate"] + ["evaluate segment", "evaluate plan", "evaluate drive"]
 
 pytestmark = pytest.mark.slow
 

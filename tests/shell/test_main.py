@@ -44,7 +44,11 @@ def all_commands() -> Iterator[tuple[str, click.Command]]:
         command = shell.cli.get_command(click.Context(shell.cli), name)
         assert command is not None
         if isinstance(command, click.Group):
-            yield from ((f"{name} {sub}", inner) for sub, inner in command.commands.items())
+            context = click.Context(command)
+            for sub in command.list_commands(context):
+                inner = command.get_command(context, sub)
+                assert inner is not None
+                yield f"{name} {sub}", inner
         else:
             yield name, command
 
@@ -80,6 +84,14 @@ def test_the_table_says_what_the_command_itself_says(name: str) -> None:
     assert command.help is not None
     paragraph = " ".join(command.help.split("\n\n")[0].split())
     assert paragraph == shell.COMMANDS[name][1]
+
+
+def test_the_kinds_of_evaluate_say_what_their_commands_say() -> None:
+    for name, command in all_commands():
+        kind = name.removeprefix("evaluate ")
+        if kind != name:
+            assert command.help is not None
+            assert " ".join(command.help.split("\n\n")[0].split()) == KINDS[kind][1]
 
 
 def test_every_command_has_help_that_ends_with_an_example() -> None:
@@ -328,6 +340,7 @@ import click, os
 from pathlib import Path
 from hrt_cli import main as shell
 from hrt_cli.artifacts.publish import publishing
+from hrt_commands.evaluate import KINDS
 
 def work():
     with publishing(Path(os.environ["TARGET"]), os.stat) as draft, open(draft, "wb", buffering=0) as file:

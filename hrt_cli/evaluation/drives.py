@@ -1,0 +1,342 @@
+"""What a drive came to: how far, how safely, what was in view, what was collected (the paper's field figures)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from affine import Affine
+from numpy.typing import NDArray
+from rasterio.crs import CRS
+from rasterio.errors import CRSError
+
+from hrt_cli.artifacts.drivelog import DriveLog, read_drive_log
+from hrt_cli.driving.motion import bottom_clearance, sample
+from hrt_cli.driving.vehicle import AUV, UGV, Vehicle
+from hrt_cli.errors import ArgumentError, InputError
+from hrt_cli.planning.resume import read_drives
+from hrt_cli.progress import Progress, silent
+from hrt_cli.raster.grid import WGS84, Grid, transform_points
+from hrt_cli.raster.scoremap import read_scoremap
+from hrt_cli.world.camera import Camera, Lens, Weather
+from hrt_cli.world.site import Site, load_site
+
+_IDENTITY = Affine.identity()
+LOOK_EVERY_S = 1.0
+"""Between two frames in which the target is looked for."""
+STALLED = 0.1
+"""A robot that gets on at less than this share of the commanded speed stalls."""
+_COMMANDED_M_S = 0.05
+_THIN_M = 0.5
+"""A track without speeds is measured between places so far apart: errors of the position would lengthen it."""
+_FARTHEST_M = 5.0
+"""Clearances are measured up to here."""
+
+
+@dataclass(frozen=True)
+class DriveMeasure:
+    """The figures of a drive, or of several together; None where the log or the world does not say.
+
+    Attributes
+    ----------
+    distance_m, duration_s : float
+    collisions, interventions, stuck : int
+        Events in the log.
+    stalled_s : float or None
+        Time in which the robot was told to drive and got on by less than a tenth of it.
+    min_clearance_m, mean_clearance_m : float or None
+        Distance from the robot's hull to the nearest obstacle (of an AUV, to the bottom), at most 5 m; the mean is
+        over time.
+    target_in_view : float or None
+        Share of the picture that the target class covers, mean over frames a second apart.
+    score_collected : float or None
+        Sum of the scores of the distinct cells that the robot went through.
+    """
+
+    distance_m: float
+    duration_s: float
+    collisions: int
+    interventions: int
+    stuck: int
+    stalled_s: float | None
+    min_clearance_m: float | None
+    mean_clearance_m: float | None
+    target_in_view: float | None
+    score_collected: float | None
+
+
+@dataclass(frozen=True)
+class DriveEvaluation:
+    """All drives.
+
+    Attributes
+    ----------
+    total : DriveMeasure
+        Of all logs together: sums, means over time, and the least clearance; each cell pays once.
+    drives : dict of str to DriveMeasure
+        By file; `score_collected` there is that of the drive by itself.
+    clearance_m : float64 [n]
+        Clearance at every record, NaN-free; empty without a world.
+    weight_s : float64 [n]
+        Time that each stands for.
+    view : list of (float, float)
+        Metres driven, over all logs, and share of the frame that shows the target.
+    """
+
+    total: DriveMeasure
+    drives: dict[str, DriveMeasure]
+    clearance_m: NDArray[np.float64]
+    weight_s: NDArray[np.float64]
+    view: list[tuple[float, float]]
+
+
+@dataclass(frozen=True)
+class _Measured:
+    """One drive with what its figures are made of."""
+
+    measure: DriveMeasure
+    clearance_m: NDArray[np.float64]
+    weight_s: NDArray[np.float64]
+    view: list[tuple[float, float]]
+
+
+def evaluate_drives(
+    logs: Sequence[Path],
+    *,
+    world: Path | None = None,
+    scoremap: Path | None = None,
+    target: str | None = None,
+    progress: Progress = silent,
+) -> DriveEvaluation:
+    """Measure drives.
+
+    Parameters
+    ----------
+    logs : sequence of Path
+        Of one robot, in order.
+    world : Path, optional
+        The site's folder, for clearances and what was in view.
+    scoremap : Path, optional
+        For the score collected.
+    target : str, optional
+        Name or number of the class to look for. Default: the one that the world names.
+
+    Raises
+    ------
+    InputError
+        A log, the world or the scoremap cannot be used, or a log lies off them.
+    ArgumentError
+        The target is no class of the world, or there is a target and no world.
+    """
+    site = load_site(world) if world is not None else None
+    if site is None and target is not None:
+        raise ArgumentError("--target needs a --world to look at")
+    number = None if site is None or world is None else _target(site, target, world)
+    found: dict[str, _Measured] = {}
+    for index, path in enumerate(logs):
+        score = _collected([path], scoremap)
+        found[str(path)] = _measure(path, site, number, score)
+        progress(index + 1, len(logs))
+    return _together(found, _collected(logs, scoremap))
+
+
+def _target(site: Site, target: str | None, world: Path) -> int | None:
+    if target is None:
+        return site.target
+    for number, name in site.names.items():
+        if target in (name, str(number)):
+            return number
+    known = ", ".join(site.names.values()) or "none"
+    raise ArgumentError(f"{world}: has no class {target!r} to look for (it has: {known})")
+
+
+def _collected(logs: Sequence[Path], scoremap_path: Path | None) -> float | None:
+    if scoremap_path is None:
+        return None
+    scoremap = read_scoremap(scoremap_path)
+    cells = {(int(row), int(col)) for row, col in read_drives(logs, scoremap).cells}
+    scores = [float(scoremap.score[cell]) for cell in sorted(cells)]
+    return math.fsum(score for score in scores if not math.isnan(score))
+
+
+def _measure(path: Path, site: Site | None, target: int | None, score: float | None) -> _Measured:
+    log = read_drive_log(path)
+    gone_m = _gone(path, log)
+    step_s = np.diff(log.time_s)
+    weight_s = np.append(step_s, 0.0) / 2 + np.append(0.0, step_s) / 2
+    clearance, view = np.zeros(0), []
+    if site is not None:
+        vehicle = UGV if log.robot is None or log.robot.kind == "ugv" else AUV
+        poses = _poses(path, log, site)
+        clearance = _clearances(site, poses, log, vehicle)
+        if target is not None:
+            view = _views(site, poses, log, vehicle, target, gone_m)
+    events = [event for _, event in log.events]
+    measure = DriveMeasure(
+        distance_m=float(gone_m[-1]),
+        duration_s=float(log.time_s[-1] - log.time_s[0]),
+        collisions=events.count("collision"),
+        interventions=events.count("intervention"),
+        stuck=events.count("stuck"),
+        stalled_s=_stalled(log),
+        min_clearance_m=_least(clearance),
+        mean_clearance_m=_mean(clearance, weight_s),
+        target_in_view=float(np.mean([share for _, share in view])) if view else None,
+        score_collected=score,
+    )
+    return _Measured(measure, clearance, weight_s if clearance.size else np.zeros(0), view)
+
+
+def _gone(path: Path, log: DriveLog) -> NDArray[np.float64]:
+    """Return the metres driven up to each record: by speed where the log has it, else between places."""
+    if np.isfinite(log.speed_m_s).all():
+        legs = 0.5 * (log.speed_m_s[1:] + log.speed_m_s[:-1]) * np.diff(log.time_s)
+        return np.append(0.0, np.cumsum(legs))
+    crs = _crs(path, log)
+    # A grid of one unit a pixel with its origin at 0, 0: places are pixel positions, and lengths ground metres.
+    grid = Grid(1, 1, _IDENTITY, crs)
+    kept = [0]
+    gone = np.zeros(len(log.time_s))
+    for k in range(1, len(gone)):
+        a, b = log.place[kept[-1]], log.place[k]
+        leg = float(grid.ground_length_m([a[1], b[1]], [a[0], b[0]])[0])
+        if leg >= _THIN_M:
+            gone[k:] += leg
+            kept.append(k)
+    return gone
+
+
+def _crs(path: Path, log: DriveLog) -> CRS | None:
+    if log.geographic:
+        return WGS84
+    try:
+        return None if log.crs is None else CRS.from_user_input(log.crs)
+    except CRSError as error:
+        raise InputError(path, f"names a coordinate reference system that is not known: {error}") from error
+
+
+def _stalled(log: DriveLog) -> float | None:
+    if not (np.isfinite(log.speed_m_s).all() and np.isfinite(log.commanded_m_s).all()):
+        return None
+    told = log.commanded_m_s[1:] > _COMMANDED_M_S
+    stands = log.speed_m_s[1:] < STALLED * log.commanded_m_s[1:]
+    return float(np.diff(log.time_s)[told & stands].sum())
+
+
+@dataclass(frozen=True)
+class _Poses:
+    """Places on the site [n, 2], heights [n] (NaN: on the ground), headings and pitches in radians [n]."""
+
+    place: NDArray[np.float64]
+    height_m: NDArray[np.float64]
+    heading_rad: NDArray[np.float64]
+    pitch_rad: NDArray[np.float64]
+
+
+def _poses(path: Path, log: DriveLog, site: Site) -> _Poses:
+    x, y = log.place.T
+    source = _crs(path, log)
+    if source is not None and source != site.grid.crs:
+        assert site.grid.crs is not None
+        try:
+            x, y = transform_points(source, site.grid.crs, x, y)
+        except ValueError as error:
+            raise InputError(path, f"cannot be laid on the world: {error}") from error
+    place = site.places(x, y)
+    extent = np.array([site.grid.cols, site.grid.rows]) * site.pixel_m
+    if not ((place >= 0) & (place <= extent)).all(axis=1).any():
+        raise InputError(path, "lies wholly off the world")
+    heading = np.radians(log.heading_deg) - site.up_bearing_rad
+    unknown = np.isnan(heading)
+    heading[unknown] = _travel_heading(place)[unknown]
+    return _Poses(place, -log.depth_m, heading, np.radians(np.nan_to_num(log.pitch_deg)))
+
+
+def _travel_heading(place: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the direction of travel at each place: over the next metre, at the end the last."""
+    heading = np.zeros(len(place))
+    last = 0.0
+    for k in range(len(place)):
+        away = np.hypot(*(place[k:] - place[k]).T)
+        far = np.flatnonzero(away >= 1.0)
+        if far.size:
+            east, south = place[k + far[0]] - place[k]
+            last = math.atan2(east, -south)
+        heading[k] = last
+    return heading
+
+
+def _clearances(site: Site, poses: _Poses, log: DriveLog, vehicle: Vehicle) -> NDArray[np.float64]:
+    radius = log.robot.radius_m if log.robot is not None else vehicle.radius_m
+    reach = _FARTHEST_M + radius
+    room = np.empty(len(poses.place))
+    for k, (east, south) in enumerate(poses.place):
+        if vehicle.kind == "auv":
+            room[k] = bottom_clearance(site.surface_m, site.pixel_m, east, south, poses.height_m[k], reach)
+        else:
+            room[k] = min(sample(site.clearance_m, site.pixel_m, east, south), reach)
+    return np.clip(room - radius, 0.0, _FARTHEST_M)
+
+
+def _views(
+    site: Site, poses: _Poses, log: DriveLog, vehicle: Vehicle, target: int, gone_m: NDArray[np.float64]
+) -> list[tuple[float, float]]:
+    """Return metres driven and the share of the picture that the target covers, for a frame every second."""
+    camera = Camera(site, Lens(), Weather.clear())
+    views = []
+    due = -math.inf
+    for k, now in enumerate(log.time_s):
+        if now < due:
+            continue
+        due = now + LOOK_EVERY_S
+        east, south = poses.place[k]
+        height = poses.height_m[k]
+        if vehicle.kind == "ugv" or math.isnan(height):
+            height = sample(site.ground_m, site.pixel_m, east, south)
+        frame = camera.view(
+            east,
+            south,
+            height + vehicle.lens_height_m,
+            poses.heading_rad[k],
+            poses.pitch_rad[k] + vehicle.lens_pitch_rad,
+        )
+        views.append((float(gone_m[k]), frame.share(target)))
+    return views
+
+
+def _together(found: dict[str, _Measured], score: float | None) -> DriveEvaluation:
+    parts = list(found.values())
+    measures = [each.measure for each in parts]
+    clearance = np.concatenate([each.clearance_m for each in parts])
+    weight = np.concatenate([each.weight_s for each in parts])
+    view, before = [], 0.0
+    for each in parts:
+        view += [(before + gone, share) for gone, share in each.view]
+        before += each.measure.distance_m
+    stalls = [each.stalled_s for each in measures]
+    total = DriveMeasure(
+        distance_m=math.fsum(each.distance_m for each in measures),
+        duration_s=math.fsum(each.duration_s for each in measures),
+        collisions=sum(each.collisions for each in measures),
+        interventions=sum(each.interventions for each in measures),
+        stuck=sum(each.stuck for each in measures),
+        stalled_s=None if None in stalls else math.fsum(each for each in stalls if each is not None),
+        min_clearance_m=_least(clearance),
+        mean_clearance_m=_mean(clearance, weight),
+        target_in_view=float(np.mean([share for _, share in view])) if view else None,
+        score_collected=score,
+    )
+    return DriveEvaluation(total, {name: each.measure for name, each in found.items()}, clearance, weight, view)
+
+
+def _least(clearance: NDArray[np.float64]) -> float | None:
+    return float(clearance.min()) if clearance.size else None
+
+
+def _mean(clearance: NDArray[np.float64], weight_s: NDArray[np.float64]) -> float | None:
+    if not clearance.size:
+        return None
+    return float(np.average(clearance, weights=weight_s) if weight_s.sum() > 0 else clearance.mean())
