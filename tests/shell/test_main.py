@@ -14,6 +14,7 @@ from typing import Any
 
 import click
 import pytest
+from hrt_commands.evaluate import KINDS
 
 from hrt_cli import main as shell
 from hrt_cli.errors import ArgumentError, DifferenceError, InputError, OutputError
@@ -340,7 +341,6 @@ import click, os
 from pathlib import Path
 from hrt_cli import main as shell
 from hrt_cli.artifacts.publish import publishing
-from hrt_commands.evaluate import KINDS
 
 def work():
     with publishing(Path(os.environ["TARGET"]), os.stat) as draft, open(draft, "wb", buffering=0) as file:
