@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import asdict
 from pathlib import Path
+from typing import Literal
 
 import click
 
@@ -39,6 +40,18 @@ Example:
 @click.option(
     "--no-go-below", type=opt.FiniteFloat(0, 1), help="Cells with a lower expected score are no-go. Default: none."
 )
+@click.option("--interest", "interest_path", type=opt.PATH, help="Raster of what the mission looks for, as heat.")
+@click.option(
+    "--interest-range",
+    type=opt.Range(),
+    help="Its values that count 0 and 1. Default: median and maximum of the cells to go.",
+)
+@click.option("--interest-cell", type=click.Choice(["max", "mean"]), help="Of the pixels in a cell. Default: max.")
+@click.option(
+    "--interest-weight",
+    type=opt.FiniteFloat(0, 1, low_open=True),
+    help="How much of the score depends on it, up to 1. Default: 1.",
+)
 @opt.creation_opt
 @opt.figure_opt
 @opt.backdrop_opt
@@ -52,6 +65,10 @@ def scoremap(
     cell_m: float,
     explore: float,
     no_go_below: float | None,
+    interest_path: Path | None,
+    interest_range: tuple[float, float] | None,
+    interest_cell: Literal["max", "mean"] | None,
+    interest_weight: float | None,
     creation: tuple[tuple[str, str], ...],
     figure: Path | None,
     backdrop: Path | None,
@@ -63,9 +80,19 @@ def scoremap(
     CLASSES is the output of `hrt segment`. The score of a cell is the mean of its classes' expected scores, weighted
     by the ground they cover; cells of which less than half was seen are no-go. The output has two bands: expected
     score and its standard deviation.
+
+    With --interest the score is drivability times interest: nothing is gained where nothing is to be found, and
+    where the robot may go is decided by drivability alone. Any raster of one band will do, whatever its grid.
     """
+    if interest_path is None and (interest_range, interest_cell, interest_weight) != (None, None, None):
+        raise click.UsageError("--interest-range, --interest-cell and --interest-weight are for --interest: give one")
+    from hrt_cli.drivability.interest import Interest
     from hrt_cli.drivability.stage import make_scoremap
 
+    interest = None
+    if interest_path is not None:
+        weight = 1.0 if interest_weight is None else interest_weight
+        interest = Interest(interest_path, interest_range, interest_cell or "max", weight)
     with console.bar("scoremap") as progress:
         done = make_scoremap(
             classes,
@@ -75,6 +102,7 @@ def scoremap(
             cell_m=cell_m,
             explore=explore,
             no_go_below=no_go_below,
+            interest=interest,
             creation=dict(creation),
             existing=existing,
             progress=progress,
@@ -88,9 +116,21 @@ def scoremap(
         console.note(f"Note: {scores_path}: says nothing of class {ids}, which counts as unknown: 0.5")
     elif done.unknown:
         console.note("Note: no --scores given: every class counts 0.5, so the map says only where the robot may go")
+    if done.interest_range is not None and interest_range is None:
+        low, high = done.interest_range
+        console.note(
+            f"Note: {interest_path}: {low:g} counts 0 and {high:g} counts 1, the median and the maximum of the cells "
+            "to go; --interest-range sets others"
+        )
+    data = {"output": str(output), **asdict(done)}
+    of_interest = ""
+    if done.interest_range is None:
+        del data["interest_range"], data["interest_cells"]
+    else:
+        of_interest = f"{done.interest_cells} of interest, "
     state = "up to date" if done.up_to_date else f"{done.seconds:.1f} s"
     console.result(
-        f"{output}: {done.rows} x {done.cols} cells of {done.cell_size_m:g} m, {done.go_cells} to go, "
+        f"{output}: {done.rows} x {done.cols} cells of {done.cell_size_m:g} m, {done.go_cells} to go, {of_interest}"
         f"mean score {done.mean_score:.3f} ({state})",
-        {"output": str(output), **asdict(done)},
+        data,
     )

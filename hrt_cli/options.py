@@ -68,6 +68,23 @@ class ClassCount(click.ParamType):  # type: ignore[type-arg]
         return int(text)
 
 
+class Range(click.ParamType):  # type: ignore[type-arg]
+    """Two finite numbers written `LOW,HIGH`."""
+
+    name = "LOW,HIGH"
+
+    def convert(  # noqa: D102
+        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
+    ) -> tuple[float, float]:
+        if isinstance(value, tuple):
+            return value
+        parts = str(value).split(",")
+        if len(parts) != 2:
+            self.fail(f"{value!r} is not of the form LOW,HIGH", param, ctx)
+        low, high = (FiniteFloat().convert(part, param, ctx) for part in parts)
+        return low, high
+
+
 class NameValue(click.ParamType):  # type: ignore[type-arg]
     """A pair written `NAME=VALUE`."""
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import time
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,10 +13,12 @@ import numpy as np
 from hrt_cli.artifacts.scores import PRIOR, ClassScore, read_scores
 from hrt_cli.artifacts.stage import REFUSE, Existing, begin
 from hrt_cli.drivability.cells import Cover, cover, score_cells
+from hrt_cli.drivability.interest import Interest, degree, open_interest, values_on, weighed
 from hrt_cli.errors import InputError
 from hrt_cli.progress import Progress, silent
 from hrt_cli.raster.classes import open_classes
 from hrt_cli.raster.cog import cog_provenance
+from hrt_cli.raster.gate import open_raster
 from hrt_cli.raster.scoremap import Scoremap, publish_scoremap, read_scoremap
 
 STAGE = "scoremap"
@@ -39,6 +42,10 @@ class ScoremapSummary:
     unknown : list of int
         Classes that no score was given for: they have the prior's 0.5.
     seconds : float
+    interest_range : (float, float) or None
+        The values of the raster of interest that count 0 and 1, if there is one.
+    interest_cells : int or None
+        Cells that may be entered and are of interest.
     """
 
     up_to_date: bool
@@ -49,6 +56,8 @@ class ScoremapSummary:
     mean_score: float
     unknown: list[int]
     seconds: float
+    interest_range: tuple[float, float] | None = None
+    interest_cells: int | None = None
 
 
 def make_scoremap(
@@ -60,6 +69,7 @@ def make_scoremap(
     cell_m: float = 1.0,
     explore: float = 0.0,
     no_go_below: float | None = None,
+    interest: Interest | None = None,
     creation: dict[str, str] | None = None,
     existing: Existing = REFUSE,
     progress: Progress = silent,
@@ -67,12 +77,14 @@ def make_scoremap(
     """Make `output` (a scoremap) from a class raster and a score table.
 
     Without a table every class has the uniform prior. With one, every class of the raster must stand in it, or with
-    `unknown_as_prior` has the prior too.
+    `unknown_as_prior` has the prior too. With an `interest` a cell's score is its expected drivability times what it
+    is worth; where the robot may go does not depend on it.
 
     Raises
     ------
     InputError
-        The class raster or the table cannot be used, or a class of the raster is not in the table.
+        The class raster, the table or the raster of interest cannot be used, a class of the raster is not in the
+        table, or no cell is of interest.
     ArgumentError
         The cell does not fit the raster.
     OutputError
@@ -89,6 +101,9 @@ def make_scoremap(
     }
     if unknown_as_prior:
         parameters["unknown_as_prior"] = True
+    if interest:
+        inputs |= _files_of(interest)
+        parameters["interest"] = interest.parameters
     job = begin(
         STAGE, STAGE_VERSION, inputs=inputs, parameters=parameters, outputs={output: cog_provenance}, existing=existing
     )
@@ -105,8 +120,12 @@ def make_scoremap(
         if np.isnan(score).all():
             raise InputError(classes_path, "gives no cell that may be entered: all are nodata or below --no-go-below")
         scoremap = Scoremap(score, sd, covered.grid, cell_m)
-        publish_scoremap(output, scoremap, job.provenance, tags={}, creation=creation)
+        tags: dict[str, Any] = {}
+        if interest:
+            scoremap, tags = _with_interest(scoremap, interest)
+        publish_scoremap(output, scoremap, job.provenance, tags=tags, creation=creation)
     go = np.isfinite(scoremap.score)
+    limits, cells = _interest_in(output) if interest else (None, None)
     return ScoremapSummary(
         job.up_to_date,
         scoremap.grid.rows,
@@ -116,7 +135,37 @@ def make_scoremap(
         float(scoremap.score[go].mean(dtype=np.float64)),
         unknown,
         time.monotonic() - began,
+        limits,
+        cells,
     )
+
+
+def _files_of(interest: Interest) -> dict[str, Path]:
+    """Return the files of the raster of interest by role: itself, a mask side-car, the parts of a VRT."""
+    with open_interest(interest.path) as raster:
+        return {role.replace("raster", "interest", 1): path for role, path in raster.sources().items()}
+
+
+def _with_interest(scoremap: Scoremap, interest: Interest) -> tuple[Scoremap, dict[str, Any]]:
+    """Return the scoremap with its scores weighed by interest, and the tags that tell of it."""
+    with open_interest(interest.path) as raster:
+        values = values_on(raster, scoremap.grid, interest.cell)
+    go = np.isfinite(scoremap.score)
+    share, low, high = degree(interest, values, go)
+    score, sd = (weighed(plain, share, interest.weight) for plain in (scoremap.score, scoremap.sd))
+    tags = {"interest_range": [low, high], "interest_cells": int(((share > 0) & go).sum())}
+    return Scoremap(score, sd, scoremap.grid, scoremap.cell_size_m), tags
+
+
+def _interest_in(path: Path) -> tuple[tuple[float, float], int]:
+    """Return the limits and the number of cells of interest that a scoremap of ours was tagged with."""
+    with open_raster(path) as raster:
+        tags = raster.hrt_tags
+    try:
+        low, high = json.loads(tags["INTEREST_RANGE"])
+        return (float(low), float(high)), int(tags["INTEREST_CELLS"])
+    except (KeyError, ValueError, TypeError, RecursionError) as error:
+        raise InputError(path, "its tags are damaged", "use --force to make it again") from error
 
 
 def _scores_for(

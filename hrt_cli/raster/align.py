@@ -6,24 +6,39 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
+from affine import Affine
 from numpy.typing import NDArray
-from rasterio.enums import Resampling
+from rasterio.crs import CRS
+from rasterio.enums import ColorInterp, Resampling
 from rasterio.errors import RasterioError
 from rasterio.warp import reproject
 
 from hrt_cli.errors import InputError
 from hrt_cli.raster.gate import Raster, is_nodata
+from hrt_cli.raster.gather import average, greatest, relative, sampled
 from hrt_cli.raster.grid import Grid, transform_points
 from hrt_cli.raster.windows import Window
 
 Rule = Literal["bilinear", "average", "max", "nearest", "mode"]
-"""How a value is made of the pixels about it (GDAL's resampling of that name)."""
+"""How a value is made of the pixels about it.
+
+`bilinear` and `nearest`: at the middle of the cell (GDAL). Of all pixels in the cell, however the grids lie to each
+other: `average`, by the share of the cell that each covers; `max`, of those whose middle lies in it; `mode`, what
+covers most of it.
+"""
 
 MAX_PX = 2**28
 """Most pixels of a source that are read at once (1 GB as float32)."""
 
 _MARGIN_PX = 4
 _EDGE_POINTS = 9
+
+_UPRIGHT = Affine(1, 0, 1, 0, -1, 1)
+"""Pixels as coordinates; GDAL takes an origin at 0, 0 for no transform at all."""
+_FLAT = CRS.from_epsg(32631)
+"""Stands for whatever CRS both rasters have: between the same GDAL transforms nothing."""
+_PLAIN = {"bilinear": {"XSCALE": 1, "YSCALE": 1}}
+"""GDAL guesses from the two sizes how wide to interpolate, and is misled where the grids are turned."""
 
 
 def field_on(raster: Raster, grid: Grid, rule: Rule, *, band: int = 1) -> NDArray[np.float32]:
@@ -36,7 +51,8 @@ def field_on(raster: Raster, grid: Grid, rule: Rule, *, band: int = 1) -> NDArra
     grid : Grid
         Where the values are wanted.
     rule : str
-        Of pixels that carry no data none counts; a value is NaN only where no pixel with data lies about it.
+        Of pixels that carry no data (by the nodata value, a mask, a declared alpha band, or as NaN) none counts; a
+        value is NaN only where no pixel with data lies about it.
     band : int
         Counted from 1.
 
@@ -51,15 +67,34 @@ def field_on(raster: Raster, grid: Grid, rule: Rule, *, band: int = 1) -> NDArra
         The raster does not reach the grid, or the part of it that does has more than `MAX_PX` pixels.
     """
     window = window_on(raster.path, raster.grid, grid)
+    real = _read(raster, band, window)
+    part = part_of(raster.grid, window)
+    try:
+        if rule == "max":
+            return greatest(real, part, grid)
+        if rule == "average":
+            return average(real, part, grid)
+        if rule == "mode":
+            return sampled(real, part, grid, mode=True)
+    except ValueError as error:
+        raise InputError(raster.path, f"cannot be laid on the other raster: {error}") from error
+    out = np.full(grid.shape, np.nan, np.float32)
+    warp_onto(raster.path, real, part, out, grid, rule, src_nodata=np.nan, dst_nodata=np.nan)
+    return out
+
+
+def _read(raster: Raster, band: int, window: Window) -> NDArray[np.float32]:
+    """Read a band as float32, NaN where it has no data."""
     values = raster.read_bands([band], window)[0]
     empty = is_nodata(values, raster.nodata[band - 1])
     if raster.has_mask:
         empty |= ~raster.read_mask(window)
-    real = values.astype(np.float32)
-    real[empty] = np.nan
-    out = np.full(grid.shape, np.nan, np.float32)
-    warp_onto(raster.path, real, part_of(raster.grid, window), out, grid, rule, src_nodata=np.nan, dst_nodata=np.nan)
-    return out
+    if ColorInterp.alpha in raster.colours:
+        empty |= ~(raster.read_bands([raster.colours.index(ColorInterp.alpha) + 1], window)[0] > 0)
+    with np.errstate(over="ignore"):  # what is beyond float32 is no measurement
+        real: NDArray[np.float32] = values.astype(np.float32)
+    real[empty | np.isinf(real)] = np.nan
+    return real
 
 
 def window_on(path: Path, source: Grid, target: Grid) -> Window:
@@ -111,16 +146,19 @@ def warp_onto(
     **options: Any,
 ) -> None:
     """Resample an array [(bands,) rows, cols] of `source` into `out` on `target`; `options` as GDAL's warper takes."""
+    places: dict[str, Any] = {"src_transform": source.transform, "src_crs": source.crs}
+    places |= {"dst_transform": target.transform, "dst_crs": target.crs}
+    if source.crs == target.crs:  # then in pixels of the source, which large coordinates would blur
+        places = {"src_transform": _UPRIGHT, "dst_transform": _UPRIGHT @ relative(target, source)}
+        places |= {"src_crs": _FLAT, "dst_crs": _FLAT}
     try:
         reproject(
             values,
             out,
-            src_transform=source.transform,
-            src_crs=source.crs,
-            dst_transform=target.transform,
-            dst_crs=target.crs,
             resampling=Resampling[rule],
             init_dest_nodata=False,
+            **_PLAIN.get(rule, {}),
+            **places,
             **options,
         )
     except RasterioError as error:
