@@ -20,8 +20,6 @@ from hrt_cli.raster.scoremap import Scoremap
 
 _SAMPLES_PER_CELL = 20
 _MOST_SAMPLES = 50_000_000
-_BESIDE_CELLS = 2.5
-"""A robot that stands on a no-go cell may begin so far from it: it came to the edge of what stopped it."""
 
 
 @dataclass(frozen=True)
@@ -76,38 +74,44 @@ def mark_driven(
 
 
 def read_drives(paths: Sequence[Path], scoremap: Scoremap) -> Driven:
-    """Read the logs of one robot's successive drives as one drive, with what lies between two of them left out.
+    """Read the logs of one robot's successive drives and lay them on the cells of a scoremap, as one drive.
+
+    What lies between two drives is left out. Where the last one ends in a cell that is no-go by now, the robot is
+    taken to go back on its own track to the last cell that may be entered.
 
     Raises
     ------
     InputError
-        As `read_driven`.
+        A log cannot be read, its places cannot be laid on the map, it lies or ends off the map, or the robot stands on
+        no-go ground and never was on other.
     """
-    drives = [read_driven(path, scoremap) for path in paths]
-    stands = drives[-1].stands
+    drives = [_laid(path, scoremap) for path in paths]
+    cells = np.concatenate([each.cells for each in drives])
+    stands, notes = drives[-1].stands, []
+    if np.isnan(scoremap.score[stands]):
+        go = cells[~np.isnan(scoremap.score[cells[:, 0], cells[:, 1]])]
+        if not len(go):
+            raise InputError(
+                paths[-1], f"ends in cell {stands[0]},{stands[1]}, which is no-go", "give the start with --start"
+            )
+        ended, stands = stands, (int(go[-1, 0]), int(go[-1, 1]))
+        notes = [
+            f"{paths[-1]}: ends in cell {ended[0]},{ended[1]}, which is no-go: the robot has to go back to "
+            f"{stands[0]},{stands[1]}, where the plan starts"
+        ]
     blocked = dict.fromkeys(cell for each in drives for cell in each.blocked if cell != stands)
     return Driven(
-        cells=np.concatenate([each.cells for each in drives]),
+        cells=cells,
         stands=stands,
         blocked=list(blocked),
         length_m=math.fsum(each.length_m for each in drives),
         time_s=math.fsum(each.time_s for each in drives),
         path=np.concatenate([each.path for each in drives]),
-        notes=drives[-1].notes,
+        notes=notes,
     )
 
 
-def read_driven(path: Path, scoremap: Scoremap) -> Driven:
-    """Read a drive log and lay it on the cells of a scoremap.
-
-    Where it ends in a cell that is no-go by now, the robot is taken to stand in the nearest one that may be entered.
-
-    Raises
-    ------
-    InputError
-        The log cannot be read, its places cannot be laid on the map, it lies off the map, or it ends far from any
-        cell that may be entered.
-    """
+def _laid(path: Path, scoremap: Scoremap) -> Driven:
     log = read_drive_log(path)
     grid = scoremap.grid
     rows, cols = _on_grid(path, log, grid)
@@ -117,10 +121,6 @@ def read_driven(path: Path, scoremap: Scoremap) -> Driven:
     stands = (int(np.floor(rows[-1])), int(np.floor(cols[-1])))
     if not inside[-1]:
         raise InputError(path, f"ends off the scoremap, at row {stands[0]}, column {stands[1]}")
-    notes = []
-    if np.isnan(scoremap.score[stands]):
-        ended, stands = stands, _nearest_go(path, scoremap.score, rows[-1], cols[-1])
-        notes = [f"{path}: ends in cell {ended[0]},{ended[1]}, which is no-go: planned from {stands[0]},{stands[1]}"]
     cells = _cells(path, rows, cols)
     on_map = ((cells >= 0) & (cells < np.array(grid.shape))).all(axis=1)
     if grid.crs is None:
@@ -130,18 +130,7 @@ def read_driven(path: Path, scoremap: Scoremap) -> Driven:
     blocked = [_stuck_cell(rows, cols, index, stands) for index, event in log.events if event == "stuck"]
     kept = [c for c in dict.fromkeys(blocked) if c != stands and 0 <= c[0] < grid.rows and 0 <= c[1] < grid.cols]
     time_s = float(log.time_s[-1] - log.time_s[0])
-    return Driven(cells[on_map], stands, kept, length_m, time_s, cells, notes)
-
-
-def _nearest_go(path: Path, score: NDArray[np.floating], row: float, col: float) -> tuple[int, int]:
-    """Return the cell that may be entered nearest to a place, at most `_BESIDE_CELLS` away."""
-    go = np.argwhere(~np.isnan(score))
-    away = np.hypot(go[:, 0] + 0.5 - row, go[:, 1] + 0.5 - col)
-    nearest = int(away.argmin())
-    if away[nearest] > _BESIDE_CELLS:
-        place = f"cell {math.floor(row)},{math.floor(col)}"
-        raise InputError(path, f"ends in {place}, far inside no-go ground", "give the start with --start")
-    return int(go[nearest, 0]), int(go[nearest, 1])
+    return Driven(cells[on_map], stands, kept, length_m, time_s, cells, [])
 
 
 def _on_grid(path: Path, log: DriveLog, grid: Grid) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

@@ -18,7 +18,7 @@ from hrt_cli.planning.planner import MOST_ROBOTS, plan_team, plans_alone
 from hrt_cli.planning.policy import Policy, default_policies_sha256
 from hrt_cli.planning.problem import NothingLeftError, Problem
 from hrt_cli.planning.request import PlanRequest, Spending, budget_in_cells, start_cell
-from hrt_cli.planning.resume import Driven, mark_driven, read_driven, read_drives
+from hrt_cli.planning.resume import Driven, mark_driven, read_drives
 from hrt_cli.progress import Progress, silent
 from hrt_cli.raster.scoremap import Scoremap, read_scoremap
 
@@ -101,9 +101,8 @@ def plan_file(
         return Planned(True, whole, robots, 0.0, [])
     scoremap = read_scoremap(scoremap_path)
     policies = [read_policy(path) for path in policy_paths] or None
-    driven = [read_driven(path, scoremap) for path in visited]
-    if request.robots == 1 and visited:
-        driven = [read_drives(visited, scoremap)]
+    teams = [visited] if request.robots == 1 and visited else [(path,) for path in visited]
+    driven = [read_drives(paths, scoremap) for paths in teams]
     notes = [note for each in driven for note in each.notes]
     try:
         problems, collected, blocked = _problems(scoremap, request, driven)

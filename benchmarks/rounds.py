@@ -1,0 +1,212 @@
+"""Rounds of plan, drive, feedback and replan on synthetic sites, beside the robot without feedback and a lawnmower.
+
+    python benchmarks/rounds.py                       10 sites x 3 seeds, about 25 minutes on 2 cores
+    python benchmarks/rounds.py --sites 2 --seeds 1   a glance
+
+Each robot starts from flat scores and is given `--minutes` a round. Blocked, it plans again with what time is left;
+one with feedback also learns from the drives so far. What it collects is the true drivability of the distinct cells
+that it drove through.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import tempfile
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from hrt_cli.drivability.feedback import FeedbackSettings
+from hrt_cli.drivability.feedback_stage import learn_scores
+from scipy.stats import spearmanr
+
+from hrt_cli.artifacts.drivelog import read_drive_log
+from hrt_cli.artifacts.scores import read_scores
+from hrt_cli.artifacts.world import read_world
+from hrt_cli.drivability.stage import make_scoremap
+from hrt_cli.driving.stage import DriveRequest, drive_file
+from hrt_cli.evaluation.drives import evaluate_drives
+from hrt_cli.planning.request import PlanRequest, Spending, parse_start
+from hrt_cli.planning.stage import plan_file
+from hrt_cli.raster.classes import open_classes
+from hrt_cli.raster.windows import Window
+from hrt_cli.texture.segment import SegmentSpec
+from hrt_cli.texture.stage import Wanted, segment_file
+from hrt_cli.world.stage import synthesize
+from hrt_cli.world.synth import SiteSpec
+
+CELL_M = 1.0
+SCENES = ("meadow", "wildfire")
+MOST_LEGS = 40
+NO_GO_BELOW = 0.2
+ENOUGH_M = 20.0
+ROBOTS = ("feedback", "blind", "lawnmower")
+
+
+@dataclass
+class Round:
+    """What a round came to: seconds stalled, seconds in all, drives."""
+
+    stalled_s: float = 0.0
+    spent_s: float = 0.0
+    legs: int = 0
+
+
+@dataclass
+class Outcome:
+    """What a robot came to on a site."""
+
+    site: str
+    seed: int
+    robot: str
+    score: float = 0.0
+    rounds: list[Round] = field(default_factory=list)
+    rank: float = math.nan
+    ranked: int = 0
+    means: dict[int, tuple[float, float, float]] = field(default_factory=dict)
+
+
+def prepare(folder: Path, scene: str, seed: int, side_m: float, classes: int) -> None:
+    """Make a site with its classes and its map of true scores."""
+    synthesize(folder, SiteSpec(scene, (side_m, side_m), 0.1, seed))
+    segment_file([folder / "ortho.tif"], folder / "classes.tif", Wanted(SegmentSpec(classes)))
+    world = read_world(folder / "world.json")
+    table = {key: each.drivability for key, each in world.classes.items()}
+    (folder / "true-scores.json").write_text(json.dumps({"scores": table}))
+    make_scoremap(folder / "truth.tif", folder / "true.tif", scores_path=folder / "true-scores.json", cell_m=CELL_M)
+
+
+def run(site: Path, seed: int, robot: str, rounds: int, minutes: float, explore: float, local: str) -> Outcome:
+    """Let one robot work on one site."""
+    outcome = Outcome(site.name, seed, robot)
+    x, y = read_world(site / "world.json").start.xy
+    with tempfile.TemporaryDirectory() as name:
+        work = Path(name)
+        logs: list[Path] = []
+        scores: Path | None = None
+        for number in range(1, rounds + 1):
+            found = Round()
+            for leg in range(1, MOST_LEGS + 1):
+                at = work / f"{number}-{leg}"
+                scoremap, plan, log = at.with_suffix(".tif"), at.with_suffix(".json"), at.with_suffix(".jsonl")
+                make_scoremap(
+                    site / "classes.tif", scoremap, scores_path=scores, cell_m=CELL_M, explore=explore,
+                    no_go_below=NO_GO_BELOW,
+                )  # fmt: skip
+                request = PlanRequest(
+                    starts=() if logs else (parse_start(f"xy:{x},{y}"),),
+                    budget=Spending(number * minutes, "min"),
+                    method="lawnmower" if robot == "lawnmower" else "refined",
+                    effort=0.3,
+                    seed=seed,
+                    or_stay=True,
+                )
+                planned = plan_file(scoremap, plan, request, visited=tuple(logs)).robots[0]
+                if planned.method == "stay" and planned.score == 0 and planned.budget.cells == 0 and logs:
+                    break
+                after = logs[-1] if logs else None
+                drive_file(
+                    plan, site, log, DriveRequest(local=local, seed=1000 * seed + 50 * number + leg), after=after
+                )
+                logs.append(log)
+                measure = evaluate_drives([log]).total
+                found.stalled_s += measure.stalled_s or 0.0
+                found.spent_s += measure.duration_s
+                found.legs += 1
+                if robot == "feedback":
+                    scores = at.with_name(f"{at.name}-scores.json")
+                    learn_scores(logs, site / "classes.tif", scores, FeedbackSettings())
+                if read_drive_log(log).end != "stuck":
+                    break
+            outcome.rounds.append(found)
+        total = evaluate_drives(logs, scoremap=site / "true.tif").total
+        outcome.score = total.score_collected or 0.0
+        if scores is not None:
+            outcome.rank, outcome.ranked, outcome.means = ranking(site, scores)
+    return outcome
+
+
+def ranking(site: Path, scores_path: Path) -> tuple[float, int, dict[int, tuple[float, float, float]]]:
+    """Return Spearman's rho of learnt means and the hidden truth, over how many classes, and both by class."""
+    world = read_world(site / "world.json")
+    with open_classes(site / "classes.tif") as classes, open_classes(site / "truth.tif") as truth:
+        window = Window(0, 0, *classes.grid.shape)
+        found, true = classes.read(window), truth.read(window)
+    learnt = read_scores(scores_path)
+    drivability = np.array([world.by_id()[k].drivability for k in sorted(world.by_id())])
+    means = {}
+    for number, belief in learnt.items():
+        pixels = true[(found == number) & (true != 255)]
+        if pixels.size:
+            means[number] = (float(drivability[pixels].mean()), belief.mean, belief.evidence_m)
+    enough = [each for each in means.values() if each[2] >= ENOUGH_M]
+    if len(enough) < 2:
+        return math.nan, len(enough), means
+    return float(spearmanr([e[0] for e in enough], [e[1] for e in enough]).statistic), len(enough), means
+
+
+def table(outcomes: list[Outcome]) -> None:
+    """Print what the robots came to."""
+    by = {(o.site, o.seed, o.robot): o for o in outcomes}
+    runs = sorted({(o.site, o.seed) for o in outcomes})
+    print(
+        f"{'site':<14}{'seed':>5}{'rho':>7}{'of':>3}{'stall 1':>9}{'stall n':>9}{'legs':>12}{'score':>8}{'x blind':>9}{'x lawn':>8}"
+    )
+    ratios, stalls, ranks = [], [], []
+    for site, seed in runs:
+        ours, blind, lawn = (by[site, seed, robot] for robot in ROBOTS)
+        first, last = (r.stalled_s / max(r.spent_s, 1e-9) for r in (ours.rounds[0], ours.rounds[-1]))
+        ratios.append((ours.score / blind.score, ours.score / lawn.score))
+        stalls.append((first, last))
+        ranks.append(ours.rank)
+        legs = "/".join(str(r.legs) for r in ours.rounds)
+        print(
+            f"{site:<14}{seed:>5}{ours.rank:>7.2f}{ours.ranked:>3}{first:>9.1%}{last:>9.1%}{legs:>12}{ours.score:>8.1f}"
+            f"{ratios[-1][0]:>9.2f}{ratios[-1][1]:>8.2f}"
+        )
+    first, last = np.mean(stalls, axis=0)
+    total = {robot: sum(o.score for o in outcomes if o.robot == robot) for robot in ROBOTS}
+    print(f"Spearman's rho: mean {np.nanmean(ranks):.3f}, at least .95 in {np.mean(np.array(ranks) >= 0.95):.0%}")
+    print(f"stalls: {first:.1%} of the time in round 1, {last:.1%} in the last: {1 - last / first:.0%} less")
+    print(
+        f"score collected: {total['feedback'] / total['blind']:.2f} x without feedback (each run {min(r[0] for r in ratios):.2f}"
+        f" or more), {total['feedback'] / total['lawnmower']:.2f} x lawnmower (each {min(r[1] for r in ratios):.2f} or more)"
+    )
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--sites", type=int, default=10)
+    parser.add_argument("--seeds", type=int, default=3)
+    parser.add_argument("--rounds", type=int, default=3)
+    parser.add_argument("--minutes", type=float, default=5.0)
+    parser.add_argument("--side", type=float, default=60.0, help="of a site, m")
+    parser.add_argument("--classes", type=int, default=6)
+    parser.add_argument("--explore", type=float, default=0.0)
+    parser.add_argument("--local", default="pursuit")
+    parser.add_argument("--workers", type=int, default=2)
+    parser.add_argument("--details", action="store_true", help="also the learnt and true mean of every class")
+    given = parser.parse_args()
+    with tempfile.TemporaryDirectory() as name, ProcessPoolExecutor(given.workers) as pool:
+        sites = [(SCENES[k % len(SCENES)], 10 + k) for k in range(given.sites)]
+        folders = [Path(name) / f"{scene}-{seed}" for scene, seed in sites]
+        list(
+            pool.map(
+                prepare, folders, *zip(*sites, strict=True), [given.side] * len(sites), [given.classes] * len(sites)
+            )
+        )
+        jobs = [(folder, seed, robot) for folder in folders for seed in range(given.seeds) for robot in ROBOTS]
+        settings = [[value] * len(jobs) for value in (given.rounds, given.minutes, given.explore, given.local)]
+        outcomes = list(pool.map(run, *zip(*jobs, strict=True), *settings))
+    table(outcomes)
+    if given.details:
+        for each in outcomes:
+            if each.means:
+                print(each.site, each.seed, {k: tuple(round(v, 2) for v in m) for k, m in each.means.items()})
+
+
+if __name__ == "__main__":
+    main()
