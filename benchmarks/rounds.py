@@ -19,13 +19,13 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
-from hrt_cli.drivability.feedback import FeedbackSettings
-from hrt_cli.drivability.feedback_stage import learn_scores
 from scipy.stats import spearmanr
 
 from hrt_cli.artifacts.drivelog import read_drive_log
 from hrt_cli.artifacts.scores import read_scores
 from hrt_cli.artifacts.world import read_world
+from hrt_cli.drivability.feedback import FeedbackSettings
+from hrt_cli.drivability.feedback_stage import learn_scores
 from hrt_cli.drivability.stage import make_scoremap
 from hrt_cli.driving.stage import DriveRequest, drive_file
 from hrt_cli.evaluation.drives import evaluate_drives

@@ -36,6 +36,7 @@ COMMANDS = {
         "Make a project FOLDER with the workflow (Makefile and Snakefile) and its config.yaml.",
     ),
     "segment": ("hrt_commands.segment:segment", "Segment an orthomosaic into texture classes."),
+    "feedback": ("hrt_commands.feedback:feedback", "Learn from drives how drivable each class is."),
     "scoremap": ("hrt_commands.scoremap:scoremap", "Turn a class raster and a score table into a scoremap."),
     "train-plan": (
         "hrt_commands.train_plan:train_plan",

@@ -4,7 +4,7 @@ One JSON object a line. The first is a header, `{"format": "hrt-drive-log", "ver
 an authority code or WKT; every other one a record with `t` (seconds, never falling) and a place: `lon, lat` (WGS 84
 degrees), or `x, y` in the header's CRS. Speeds (`speed_m_s` as achieved, `commanded_m_s`), `heading_deg` (clockwise
 from true north), what an underwater robot knows besides (`pitch_deg`, nose up; `depth_m` below the surface), and an
-`event` may stand beside them. A CSV with columns of these names is read as well.
+`event` may stand beside them. A CSV with columns of these names is read as well, and the tracks of a GPX.
 """
 
 from __future__ import annotations
@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 from pydantic import Field, ValidationError, model_validator
 
 from hrt_cli.artifacts.carriers import checked
+from hrt_cli.artifacts.gpxlog import read_gpx
 from hrt_cli.artifacts.jsonio import Document, describe, parse_strict, read_text
 from hrt_cli.artifacts.provenance import Provenance
 from hrt_cli.artifacts.publish import publishing
@@ -54,6 +55,10 @@ class Header(Document):
     robot: Robot | None = None
     end: End | None = None
     provenance: Provenance | None = None
+
+
+_HEADER = Header(format="hrt-drive-log")
+"""What a file without one says of the drive: nothing."""
 
 
 class Record(Document):
@@ -102,6 +107,8 @@ class DriveLog:
         Who drove, where the log says so.
     end : str or None
         Why the drive ended, likewise.
+    breaks : tuple of int
+        Records before which nothing was logged for a while (the segments of a GPX track): no drive leads to them.
     """
 
     time_s: NDArray[np.float64]
@@ -116,10 +123,11 @@ class DriveLog:
     depth_m: NDArray[np.float64]
     robot: Robot | None
     end: End | None
+    breaks: tuple[int, ...] = ()
 
 
 def read_drive_log(path: Path) -> DriveLog:
-    """Read a drive log, `.jsonl` or `.csv`. One with provenance is checked against it.
+    """Read a drive log, `.jsonl`, `.csv` or `.gpx`. One with provenance is checked against it.
 
     Raises
     ------
@@ -129,10 +137,16 @@ def read_drive_log(path: Path) -> DriveLog:
     text = read_text(path, MAX_BYTES)
     if not text.strip():
         raise InputError(path, "is empty")
-    if not text.endswith("\n"):
+    suffix = path.suffix.lower()
+    if suffix != ".gpx" and not text.endswith("\n"):
         # A number cut in its digits still reads as a number: the missing end of line is the only sign.
         raise InputError(path, "ends within a line: the log was cut off", "drop its last line if that is all")
-    header, records = _from_csv(path, text) if path.suffix.lower() == ".csv" else _from_lines(path, text)
+    breaks: tuple[int, ...] = ()
+    if suffix == ".gpx":
+        found, breaks = read_gpx(path, text)
+        header, records = _HEADER, [_model(path, number, Record, each) for number, each in enumerate(found, start=1)]
+    else:
+        header, records = _from_csv(path, text) if suffix == ".csv" else _from_lines(path, text)
     if not records:
         raise InputError(path, "has no records")
     geographic = records[0].lon is not None
@@ -158,6 +172,7 @@ def read_drive_log(path: Path) -> DriveLog:
         depth_m=_column(r.depth_m for r in records),
         robot=header.robot,
         end=header.end,
+        breaks=breaks,
     )
 
 
@@ -215,7 +230,7 @@ def _from_csv(path: Path, text: str) -> tuple[Header, list[Record]]:
         for name in known & set(values):
             record[name] = values[name] if name == "event" else _number(path, number, name, values[name])
         records.append(_model(path, number, Record, record))
-    return Header(format="hrt-drive-log"), records
+    return _HEADER, records
 
 
 def _number(path: Path, line: int, name: str, text: str) -> float:

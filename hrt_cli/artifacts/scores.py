@@ -1,16 +1,18 @@
 """The score table (`scores.json`): what is believed about each class's drivability.
 
-A table made by the tool holds a Beta posterior per class. One written by hand may hold less: a bare number is an
-expected score, `{"mean": .8}` likewise, `{"alpha": 4, "beta": 1}` a Beta distribution.
+A table made by the tool holds a Beta posterior per class, and in `logs` the sha256 of every drive log that it rests on,
+so that none is counted twice. One written by hand may hold less: a bare number is an expected score, `{"mean": .8}`
+likewise, `{"alpha": 4, "beta": 1}` a Beta distribution.
 """
 
 from __future__ import annotations
 
 import math
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import Field, field_validator, model_validator
 
@@ -54,6 +56,14 @@ PRIOR = ClassScore.expecting(0.5)
 """What is believed of a class that nothing is known of: Beta(1, 1), uniform."""
 
 
+@dataclass(frozen=True)
+class ScoreTable:
+    """Beliefs by class id, and the sha256 of every drive log that is counted in them, in the order of counting."""
+
+    scores: dict[int, ClassScore]
+    logs: tuple[str, ...] = ()
+
+
 class _Entry(Document):
     mean: float | None = Field(default=None, ge=0, le=1)
     sd: float | None = Field(default=None, ge=0, le=0.5)
@@ -86,6 +96,7 @@ class _Table(Document):
     format: Literal["hrt-scores"] = "hrt-scores"
     version: Literal[1] = 1
     scores: dict[str, _Entry]
+    logs: list[Annotated[str, Field(pattern="^[0-9a-f]{64}$")]] = Field(default=[])
     provenance: Provenance | None = None
 
     @field_validator("scores", mode="before")
@@ -105,12 +116,12 @@ class _Table(Document):
 
 
 def read_scores(path: Path) -> dict[int, ClassScore]:
-    """Read a score table.
+    """Read what a score table believes, by class id; raises as `read_score_table`."""
+    return read_score_table(path).scores
 
-    Returns
-    -------
-    dict of int to ClassScore
-        By class id.
+
+def read_score_table(path: Path) -> ScoreTable:
+    """Read a score table.
 
     Raises
     ------
@@ -120,12 +131,12 @@ def read_scores(path: Path) -> dict[int, ClassScore]:
     table = read_model(path, _Table)
     if not table.scores:
         raise InputError(path, "holds no class")
-    return {int(key): entry.belief() for key, entry in table.scores.items()}
+    return ScoreTable({int(key): entry.belief() for key, entry in table.scores.items()}, tuple(table.logs))
 
 
-def scores_document(scores: dict[int, ClassScore]) -> dict[str, Any]:
-    """Return the JSON members of a score table (without provenance)."""
-    return {
+def scores_document(scores: dict[int, ClassScore], logs: Sequence[str] = ()) -> dict[str, Any]:
+    """Return the JSON members of a score table (without provenance); `logs` is left out where there are none."""
+    document: dict[str, Any] = {
         "format": "hrt-scores",
         "version": 1,
         "scores": {
@@ -140,3 +151,4 @@ def scores_document(scores: dict[int, ClassScore]) -> dict[str, Any]:
             for k, s in sorted(scores.items())
         },
     }
+    return document | ({"logs": list(logs)} if logs else {})

@@ -10,8 +10,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from rasterio.crs import CRS
-from rasterio.errors import CRSError
 
 from hrt_cli.artifacts.drivelog import Header, Robot, drive_provenance, publish_drive_log, read_drive_log
 from hrt_cli.artifacts.plan import PlanDocument, read_plan
@@ -23,7 +21,7 @@ from hrt_cli.driving.simulator import Drive, Setting, first_heading, simulate
 from hrt_cli.driving.vehicle import VEHICLES, Vehicle
 from hrt_cli.errors import ArgumentError, InputError
 from hrt_cli.progress import Progress, silent
-from hrt_cli.raster.grid import transform_points
+from hrt_cli.raster.track import points_on
 from hrt_cli.world.site import Site, load_site, site_files
 
 STAGE = "drive"
@@ -181,19 +179,10 @@ def _course(
 def _on_site(path: Path, xy: NDArray[np.float64], crs: str | None, site: Site) -> NDArray[np.float64]:
     if crs is None:
         raise InputError(path, "has no coordinate reference system, so it has no place on a site")
-    try:
-        source = CRS.from_user_input(crs)
-        x, y = xy[:, 0], xy[:, 1]
-        if source != site.grid.crs:
-            assert site.grid.crs is not None
-            x, y = transform_points(source, site.grid.crs, x, y)
-    except (CRSError, ValueError) as error:
-        raise InputError(path, f"cannot be laid on the site: {error}") from error
-    places = site.places(np.asarray(x, np.float64), np.asarray(y, np.float64))
-    extent = np.array([site.grid.cols, site.grid.rows]) * site.pixel_m
-    if not ((places >= 0) & (places <= extent)).all(axis=1).any():
+    rows, cols = points_on(path, xy, crs, site.grid, "site")
+    if not ((rows >= 0) & (rows <= site.grid.rows) & (cols >= 0) & (cols <= site.grid.cols)).any():
         raise InputError(path, "lies wholly off the site")
-    return places
+    return np.stack([cols, rows], axis=1) * site.pixel_m
 
 
 def _free_place(site: Site, wanted: NDArray[np.float64], vehicle: Vehicle) -> NDArray[np.float64] | None:

@@ -19,8 +19,9 @@ from hrt_cli.driving.vehicle import AUV, UGV, Vehicle
 from hrt_cli.errors import ArgumentError, InputError
 from hrt_cli.planning.resume import read_drives
 from hrt_cli.progress import Progress, silent
-from hrt_cli.raster.grid import WGS84, Grid, transform_points
+from hrt_cli.raster.grid import WGS84, Grid
 from hrt_cli.raster.scoremap import read_scoremap
+from hrt_cli.raster.track import track_on
 from hrt_cli.world.camera import Camera, Lens, Weather
 from hrt_cli.world.site import Site, load_site
 
@@ -32,6 +33,8 @@ STALLED = 0.1
 _COMMANDED_M_S = 0.05
 _THIN_M = 0.5
 """A track without speeds is measured between places so far apart: errors of the position would lengthen it."""
+_SOON = 500
+"""Records ahead in which a robot's next metre is looked for."""
 _FARTHEST_M = 5.0
 """Clearances are measured up to here."""
 
@@ -237,18 +240,10 @@ class _Poses:
 
 
 def _poses(path: Path, log: DriveLog, site: Site) -> _Poses:
-    x, y = log.place.T
-    source = _crs(path, log)
-    if source is not None and source != site.grid.crs:
-        assert site.grid.crs is not None
-        try:
-            x, y = transform_points(source, site.grid.crs, x, y)
-        except ValueError as error:
-            raise InputError(path, f"cannot be laid on the world: {error}") from error
-    place = site.places(x, y)
-    extent = np.array([site.grid.cols, site.grid.rows]) * site.pixel_m
-    if not ((place >= 0) & (place <= extent)).all(axis=1).any():
+    rows, cols = track_on(path, log, site.grid, "world")
+    if not ((rows >= 0) & (rows <= site.grid.rows) & (cols >= 0) & (cols <= site.grid.cols)).any():
         raise InputError(path, "lies wholly off the world")
+    place = np.stack([cols, rows], axis=1) * site.pixel_m
     heading = np.radians(log.heading_deg) - site.up_bearing_rad
     unknown = np.isnan(heading)
     heading[unknown] = _travel_heading(place)[unknown]
@@ -260,7 +255,7 @@ def _travel_heading(place: NDArray[np.float64]) -> NDArray[np.float64]:
     heading = np.zeros(len(place))
     last = 0.0
     for k in range(len(place)):
-        away = np.hypot(*(place[k:] - place[k]).T)
+        away = np.hypot(*(place[k : k + _SOON] - place[k]).T)
         far = np.flatnonzero(away >= 1.0)
         if far.size:
             east, south = place[k + far[0]] - place[k]

@@ -10,13 +10,11 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from rasterio.crs import CRS
-from rasterio.errors import CRSError
 
-from hrt_cli.artifacts.drivelog import DriveLog, read_drive_log
+from hrt_cli.artifacts.drivelog import read_drive_log
 from hrt_cli.errors import InputError
-from hrt_cli.raster.grid import Grid, transform_points
 from hrt_cli.raster.scoremap import Scoremap
+from hrt_cli.raster.track import track_on
 
 _SAMPLES_PER_CELL = 20
 _MOST_SAMPLES = 50_000_000
@@ -114,7 +112,7 @@ def read_drives(paths: Sequence[Path], scoremap: Scoremap) -> Driven:
 def _laid(path: Path, scoremap: Scoremap) -> Driven:
     log = read_drive_log(path)
     grid = scoremap.grid
-    rows, cols = _on_grid(path, log, grid)
+    rows, cols = track_on(path, log, grid, "scoremap")
     inside = (rows >= 0) & (rows < grid.rows) & (cols >= 0) & (cols < grid.cols)
     if not inside.any():
         raise InputError(path, f"lies wholly off the scoremap of {grid.rows} x {grid.cols} cells")
@@ -131,24 +129,6 @@ def _laid(path: Path, scoremap: Scoremap) -> Driven:
     kept = [c for c in dict.fromkeys(blocked) if c != stands and 0 <= c[0] < grid.rows and 0 <= c[1] < grid.cols]
     time_s = float(log.time_s[-1] - log.time_s[0])
     return Driven(cells[on_map], stands, kept, length_m, time_s, cells, [])
-
-
-def _on_grid(path: Path, log: DriveLog, grid: Grid) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return fractional rows and columns of the places of a log."""
-    x, y = log.place[:, 0], log.place[:, 1]
-    if log.geographic or log.crs is not None:
-        if grid.crs is None:
-            raise InputError(path, "has geographic places, and the scoremap no georeference")
-        try:
-            source = CRS.from_epsg(4326) if log.geographic else CRS.from_user_input(log.crs)
-            x, y = transform_points(source, grid.crs, x, y)
-        except (CRSError, ValueError) as error:
-            raise InputError(path, f"cannot be laid on the scoremap: {error}") from error
-    inverse = ~grid.transform
-    cols, rows = inverse.a * x + inverse.b * y + inverse.c, inverse.d * x + inverse.e * y + inverse.f
-    if not (np.isfinite(rows).all() and np.isfinite(cols).all()):
-        raise InputError(path, "has places that are nowhere in the scoremap's coordinate reference system")
-    return rows, cols
 
 
 def _cells(path: Path, rows: NDArray[np.float64], cols: NDArray[np.float64]) -> NDArray[np.int64]:

@@ -154,6 +154,27 @@ class Grid:
         east, north = _metres_per_degree((lat[1:] + lat[:-1]) / 2)
         return np.asarray(np.hypot(_wrapped(np.diff(lon)) * east, np.diff(lat) * north))
 
+    def steps_towards(self, rows: ArrayLike, cols: ArrayLike, heading_deg: ArrayLike) -> tuple[Floats, Floats]:
+        """Pixels (along rows, along columns) that one metre of ground takes from positions [n] in a heading.
+
+        Headings are clockwise from true north; without a CRS north is up.
+
+        Raises
+        ------
+        ValueError
+            A position has no place on the Earth in this CRS.
+        """
+        row, col, heading = np.broadcast_arrays(
+            *(np.atleast_1d(np.asarray(a, float)) for a in (rows, cols, heading_deg))
+        )
+        east, north = np.sin(np.radians(heading)), np.cos(np.radians(heading))
+        if self.crs is None:
+            return -north, east
+        e_row, n_row = self._ground_vectors(row, col, (1.0, 0.0))
+        e_col, n_col = self._ground_vectors(row, col, (0.0, 1.0))
+        area = e_row * n_col - n_row * e_col
+        return (east * n_col - north * e_col) / area, (north * e_row - east * n_row) / area
+
     def coarse(self, cell_m: float) -> Grid:
         """Return the grid of square ground cells of `cell_m` metres that starts at this raster's first corner.
 

@@ -97,12 +97,6 @@ class Site:
         row, col = self.pixel(east_m, south_m)
         return 0 <= row < self.grid.rows and 0 <= col < self.grid.cols and bool(self.seen[row, col])
 
-    def places(self, x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return places [n, 2] (east_m, south_m) of map coordinates in the site's CRS."""
-        back = ~self.grid.transform
-        cols, rows = back.a * x + back.b * y + back.c, back.d * x + back.e * y + back.f
-        return np.stack([cols, rows], axis=-1) * self.pixel_m
-
     def map_xy(self, places: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return the map coordinates of places [n, 2]."""
         return self.grid.xy(places[..., 1] / self.pixel_m, places[..., 0] / self.pixel_m)

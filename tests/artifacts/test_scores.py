@@ -10,7 +10,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hrt_cli.artifacts.jsonio import to_text
-from hrt_cli.artifacts.scores import PRIOR, PRIOR_STRENGTH, ClassScore, read_scores, scores_document
+from hrt_cli.artifacts.scores import (
+    PRIOR,
+    PRIOR_STRENGTH,
+    ClassScore,
+    ScoreTable,
+    read_score_table,
+    read_scores,
+    scores_document,
+)
 from hrt_cli.errors import InputError
 
 
@@ -136,3 +144,20 @@ def test_mean_and_deviation_are_those_of_the_beta_distribution(alpha: float, bet
 def test_the_prior_is_uniform() -> None:
     assert (PRIOR.alpha, PRIOR.beta, PRIOR.evidence_m) == (1.0, 1.0, 0.0)
     assert math.isclose(PRIOR.sd, math.sqrt(1 / 12))
+
+
+class TestLogs:
+    SUMS = ("0" * 64, "f" * 64)
+
+    def test_the_logs_are_read_back_in_their_order(self, tmp_path: Path) -> None:
+        for logs in (self.SUMS, self.SUMS[::-1], ()):
+            path = write(tmp_path, to_text(scores_document({0: ClassScore(2, 1)}, logs)))
+            assert read_score_table(path) == ScoreTable({0: ClassScore(2, 1)}, logs)
+
+    def test_none_are_not_written(self) -> None:
+        assert "logs" not in scores_document({0: ClassScore(2, 1)})
+
+    @pytest.mark.parametrize("logs", ["0" * 64, ["0" * 63], ["g" * 64], ["F" * 64], [5], None, {}])
+    def test_what_is_no_hash_is_refused(self, tmp_path: Path, logs: object) -> None:
+        with pytest.raises(InputError, match="logs"):
+            read_score_table(write(tmp_path, {"scores": {"0": 0.5}, "logs": logs}))

@@ -1,0 +1,53 @@
+"""A drive log, or other points, on the pixels of a raster."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from rasterio.crs import CRS
+from rasterio.errors import CRSError
+
+from hrt_cli.artifacts.drivelog import DriveLog
+from hrt_cli.errors import InputError
+from hrt_cli.raster.grid import WGS84, Grid, transform_points
+
+Floats = NDArray[np.float64]
+
+
+def track_on(path: Path, log: DriveLog, grid: Grid, what: str) -> tuple[Floats, Floats]:
+    """Return fractional rows and columns [n] of the places of a log; see `points_on`."""
+    return points_on(path, log.place, WGS84.to_string() if log.geographic else log.crs, grid, what)
+
+
+def points_on(path: Path, points: Floats, crs: str | None, grid: Grid, what: str) -> tuple[Floats, Floats]:
+    """Return fractional rows and columns [n] of points on a raster.
+
+    Parameters
+    ----------
+    path : Path
+        The file that they come from, for the message.
+    points : float64 [n, 2]
+        x and y (longitude and latitude) in `crs`; where that is None, in the raster's own.
+    what : str
+        What the raster is, for the message: `scoremap`, `class raster`.
+
+    Raises
+    ------
+    InputError
+        The raster has no CRS and the points need one, or they have no place in it.
+    """
+    x, y = points[:, 0], points[:, 1]
+    if crs is not None:
+        if grid.crs is None:
+            raise InputError(path, f"has geographic places, and the {what} no georeference")
+        try:
+            x, y = transform_points(CRS.from_user_input(crs), grid.crs, x, y)
+        except (CRSError, ValueError) as error:
+            raise InputError(path, f"cannot be laid on the {what}: {error}") from error
+    inverse = ~grid.transform
+    cols, rows = inverse.a * x + inverse.b * y + inverse.c, inverse.d * x + inverse.e * y + inverse.f
+    if not (np.isfinite(rows).all() and np.isfinite(cols).all()):
+        raise InputError(path, f"has places that are nowhere in the {what}'s coordinate reference system")
+    return rows, cols
