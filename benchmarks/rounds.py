@@ -40,8 +40,9 @@ from hrt_cli.world.synth import SiteSpec
 
 CELL_M = 1.0
 SCENES = ("meadow", "wildfire")
-MOST_LEGS = 40
+MOST_LEGS = 25
 NO_GO_BELOW = 0.2
+NO_GO_SHARE = 0.15
 ENOUGH_M = 20.0
 ROBOTS = ("feedback", "blind", "lawnmower")
 
@@ -94,7 +95,7 @@ def run(site: Path, seed: int, robot: str, rounds: int, minutes: float, explore:
                 scoremap, plan, log = at.with_suffix(".tif"), at.with_suffix(".json"), at.with_suffix(".jsonl")
                 make_scoremap(
                     site / "classes.tif", scoremap, scores_path=scores, cell_m=CELL_M, explore=explore,
-                    no_go_below=NO_GO_BELOW,
+                    no_go_below=NO_GO_BELOW, no_go_share=NO_GO_SHARE,
                 )  # fmt: skip
                 request = PlanRequest(
                     starts=() if logs else (parse_start(f"xy:{x},{y}"),),
@@ -183,8 +184,8 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=3)
     parser.add_argument("--rounds", type=int, default=3)
     parser.add_argument("--minutes", type=float, default=5.0)
-    parser.add_argument("--side", type=float, default=60.0, help="of a site, m")
-    parser.add_argument("--classes", type=int, default=6)
+    parser.add_argument("--side", type=float, default=40.0, help="of a site, m")
+    parser.add_argument("--classes", type=int, default=8)
     parser.add_argument("--explore", type=float, default=0.0)
     parser.add_argument("--local", default="pursuit")
     parser.add_argument("--workers", type=int, default=2)

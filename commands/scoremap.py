@@ -40,6 +40,11 @@ Example:
 @click.option(
     "--no-go-below", type=opt.FiniteFloat(0, 1), help="Cells with a lower expected score are no-go. Default: none."
 )
+@click.option(
+    "--no-go-share",
+    type=opt.FiniteFloat(0, 1),
+    help="With --no-go-below: no-go are also cells of which classes that score less cover more than this share.",
+)
 @click.option("--interest", "interest_path", type=opt.PATH, help="Raster of what the mission looks for, as heat.")
 @click.option(
     "--interest-range",
@@ -65,6 +70,7 @@ def scoremap(
     cell_m: float,
     explore: float,
     no_go_below: float | None,
+    no_go_share: float | None,
     interest_path: Path | None,
     interest_range: tuple[float, float] | None,
     interest_cell: Literal["max", "mean"] | None,
@@ -89,6 +95,8 @@ def scoremap(
     from hrt_cli.drivability.interest import Interest
     from hrt_cli.drivability.stage import make_scoremap
 
+    if no_go_share is not None and no_go_below is None:
+        raise click.UsageError("--no-go-share says how much of a cell --no-go-below may hold for: give both")
     interest = None
     if interest_path is not None:
         weight = 1.0 if interest_weight is None else interest_weight
@@ -102,6 +110,7 @@ def scoremap(
             cell_m=cell_m,
             explore=explore,
             no_go_below=no_go_below,
+            no_go_share=1.0 if no_go_share is None else no_go_share,
             interest=interest,
             creation=dict(creation),
             existing=existing,

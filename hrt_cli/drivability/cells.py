@@ -93,7 +93,11 @@ def cover(fine: Grid, read: ReadClasses, cell_m: float, progress: Progress = sil
 
 
 def score_cells(
-    covered: Cover, scores: dict[int, ClassScore], explore: float = 0.0, no_go_below: float | None = None
+    covered: Cover,
+    scores: dict[int, ClassScore],
+    explore: float = 0.0,
+    no_go_below: float | None = None,
+    no_go_share: float = 1.0,
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Return the expected score of each cell and its standard deviation.
 
@@ -104,19 +108,22 @@ def score_cells(
     Returns
     -------
     score, sd : float32 [rows, cols]
-        NaN where less than half of the cell has a class, or where the expected score (before exploration) is below
-        `no_go_below`.
+        NaN where less than half of the cell has a class; where the expected score (before exploration) is below
+        `no_go_below`; or where classes whose expected score is cover more than `no_go_share` of the cell.
     """
     total = covered.counts.sum(axis=0, dtype=np.int64)
     score = np.zeros(covered.grid.shape)
     variance = np.zeros(covered.grid.shape)
+    barred = np.zeros(covered.grid.shape)
     for index in covered.classes:
         share = covered.counts[index] / np.maximum(total, 1)
         score += share * scores[index].mean
         variance += (share * scores[index].sd) ** 2
+        if no_go_below is not None and scores[index].mean < no_go_below:
+            barred += share
     no_go = total < MIN_COVERED * covered.pixels_per_cell
     if no_go_below is not None:
-        no_go |= score < no_go_below - _ROUNDING
+        no_go |= (score < no_go_below - _ROUNDING) | (barred > no_go_share + _ROUNDING)
     sd = np.sqrt(variance)
     score = score + explore * sd
     score[no_go] = np.nan

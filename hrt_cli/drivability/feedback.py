@@ -27,7 +27,7 @@ Floats = NDArray[np.float64]
 Ease = Callable[[float, float], float]
 """By what progress counts at a row and column: steepness and roughness; NaN where they are not known."""
 
-CONTACT_RADIUS_M = 0.3
+CONTACT_RADIUS_M = 0.5
 """Radius of the ground that is looked at for what stopped a robot."""
 _MOST_DISCS = 1000
 

@@ -22,7 +22,7 @@ from hrt_cli.world.site import Site
 CONTROL_S = 0.1
 """Between two commands."""
 _SUBSTEPS = 2
-_LOG_EVERY = 2
+_LOG_EVERY = 4
 """Commands from one record to the next."""
 _ARRIVED_M = 0.4
 
