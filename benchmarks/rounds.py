@@ -154,7 +154,7 @@ def table(outcomes: list[Outcome]) -> None:
     by = {(o.site, o.seed, o.robot): o for o in outcomes}
     runs = sorted({(o.site, o.seed) for o in outcomes})
     print(
-        f"{'site':<14}{'seed':>5}{'rho':>7}{'of':>3}{'stall 1':>9}{'stall n':>9}{'legs':>12}{'score':>8}{'x blind':>9}{'x lawn':>8}"
+        f"{'site':<14}{'seed':>5}{'rho':>7}{'of':>3}{'stall 1':>9}{'stall n':>9}{'legs':>36}{'score':>8}{'blind':>8}{'lawn':>8}{'x blind':>9}{'x lawn':>8}"
     )
     ratios, stalls, ranks = [], [], []
     for site, seed in runs:
@@ -163,9 +163,9 @@ def table(outcomes: list[Outcome]) -> None:
         ratios.append((ours.score / blind.score, ours.score / lawn.score))
         stalls.append((first, last))
         ranks.append(ours.rank)
-        legs = "/".join(str(r.legs) for r in ours.rounds)
+        legs = "  ".join("/".join(str(r.legs) for r in each.rounds) for each in (ours, blind, lawn))
         print(
-            f"{site:<14}{seed:>5}{ours.rank:>7.2f}{ours.ranked:>3}{first:>9.1%}{last:>9.1%}{legs:>12}{ours.score:>8.1f}"
+            f"{site:<14}{seed:>5}{ours.rank:>7.2f}{ours.ranked:>3}{first:>9.1%}{last:>9.1%}{legs:>36}{ours.score:>8.1f}{blind.score:>8.1f}{lawn.score:>8.1f}"
             f"{ratios[-1][0]:>9.2f}{ratios[-1][1]:>8.2f}"
         )
     first, last = np.mean(stalls, axis=0)

@@ -7,8 +7,9 @@ takes its share of them: alpha += w y, beta += w (1 - y).
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -27,6 +28,8 @@ Floats = NDArray[np.float64]
 Ease = Callable[[float, float], float]
 """By what progress counts at a row and column: steepness and roughness; NaN where they are not known."""
 
+SPOT_M = 1.0
+"""Side of the squares of ground by which episodes are told apart."""
 CONTACT_RADIUS_M = 0.5
 """Radius of the ground that is looked at for what stopped a robot."""
 _MOST_DISCS = 1000
@@ -116,6 +119,10 @@ class Evidence:
     ----------
     class_id : int64 [n]
     weight_m, progress : float64 [n]
+    episode : int64 [n]
+        Which of `spots` it is evidence of; -1 for ground that was driven over.
+    spots : list of (int, int)
+        Of each episode, where it was: the square of `SPOT_M` that its contact lies in.
     off_map_m : float
         Metres on ground without a class.
     unknown_terrain_m : float
@@ -131,6 +138,8 @@ class Evidence:
     class_id: NDArray[np.int64]
     weight_m: Floats
     progress: Floats
+    episode: NDArray[np.int64]
+    spots: list[tuple[int, int]]
     off_map_m: float
     unknown_terrain_m: float
     events: int
@@ -155,21 +164,40 @@ def evidence_of(
     episodes = episodes_of(log, grid, places, radius_m)
     intervals = intervals_of(log, grid, places, episodes, gap_s=settings.gap_s, commanded_m_s=settings.commanded_m_s)
     taking = _Taking(log.time_s, footprints, radius_m, ease)
+    spots = [_spot(each, grid) for each in episodes]
     blamed = [_blamed(each, footprints, radius_m) for each in episodes]
     holder = _held_by(episodes, intervals)
     progress = settings.curve(intervals.achieved_m_s / intervals.commanded_m_s)
     ahead = 0
     for index, (weight_m, y) in enumerate(zip(intervals.weight_m.tolist(), progress.tolist(), strict=True)):
         while ahead < len(episodes) and episodes[ahead].event <= intervals.first[index]:
-            taking.add(blamed[ahead], episodes[ahead].share * settings.event_weight_m, 0.0)
+            taking.add(blamed[ahead], episodes[ahead].share * settings.event_weight_m, 0.0, ahead)
             ahead += 1
         if holder[index] >= 0:
-            taking.add(blamed[holder[index]], weight_m, 0.0)
+            taking.add(blamed[holder[index]], weight_m, 0.0, holder[index])
         elif weight_m > 0:
             taking.add_way(intervals, index, weight_m, y)
-    for each, shares in zip(episodes[ahead:], blamed[ahead:], strict=True):
-        taking.add(shares, each.share * settings.event_weight_m, 0.0)
-    return taking.evidence(sum(map(bool, blamed)), intervals, spikes)
+    for index in range(ahead, len(episodes)):
+        taking.add(blamed[index], episodes[index].share * settings.event_weight_m, 0.0, index)
+    return taking.evidence(sum(map(bool, blamed)), spots, intervals, spikes)
+
+
+def once_a_spot(drives: Sequence[Evidence]) -> list[Evidence]:
+    """Return drives in which all episodes at one spot weigh as much as one of them does on average.
+
+    A robot that is driven against the same rock five times has not learnt five times that rocks do not give way.
+    """
+    visits = Counter(spot for each in drives for spot in each.spots)
+    shared = []
+    for each in drives:
+        share = np.array([1.0 / visits[spot] for spot in each.spots] + [1.0])
+        shared.append(replace(each, weight_m=each.weight_m * share[each.episode]))
+    return shared
+
+
+def _spot(episode: Episode, grid: Grid) -> tuple[int, int]:
+    row_m, col_m = grid.pixel_m
+    return math.floor(episode.contact[0] * row_m / SPOT_M), math.floor(episode.contact[1] * col_m / SPOT_M)
 
 
 def posterior(before: ClassScore, weight_m: Floats, progress: Floats, forget_m: float | None) -> ClassScore:
@@ -232,17 +260,17 @@ class _Taking:
 
     def __init__(self, time_s: Floats, footprints: Footprints, radius_m: float, ease: Ease | None) -> None:
         self._time_s, self._footprints, self._radius_m, self._ease = time_s, footprints, radius_m, ease
-        self._rows: list[tuple[int, float, float]] = []
+        self._rows: list[tuple[int, float, float, int]] = []
         self._off_map_m: list[float] = []
         self._unknown_m: list[float] = []
 
-    def add(self, shares: Shares, weight_m: float, progress: float) -> None:
+    def add(self, shares: Shares, weight_m: float, progress: float, episode: int = -1) -> None:
         """Share an observation out among classes."""
         if not weight_m > 0:
             return
         if not shares:
             self._off_map_m.append(weight_m)
-        self._rows.extend((k, weight_m * share, progress) for k, share in shares.items())
+        self._rows.extend((k, weight_m * share, progress, episode) for k, share in shares.items())
 
     def add_way(self, intervals: Intervals, index: int, weight_m: float, progress: float) -> None:
         """Share an observation out along the way that was driven: discs no farther apart than the robot is wide."""
@@ -259,13 +287,15 @@ class _Taking:
                 factor = 1.0
             self.add(self._footprints.shares(row, col, self._radius_m), weight_m / discs, progress * factor)
 
-    def evidence(self, events: int, intervals: Intervals, spikes: int) -> Evidence:
+    def evidence(self, events: int, spots: list[tuple[int, int]], intervals: Intervals, spikes: int) -> Evidence:
         """Return all that was added."""
-        columns = list(zip(*self._rows, strict=True)) or [(), (), ()]
+        columns = list(zip(*self._rows, strict=True)) or [(), (), (), ()]
         return Evidence(
             np.array(columns[0], np.int64),
             np.array(columns[1], np.float64),
             np.array(columns[2], np.float64),
+            np.array(columns[3], np.int64),
+            spots,
             math.fsum(self._off_map_m),
             math.fsum(self._unknown_m),
             events,

@@ -15,7 +15,7 @@ from hrt_cli.artifacts.drivelog import DriveLog, read_drive_log
 from hrt_cli.artifacts.provenance import file_sha256
 from hrt_cli.artifacts.scores import PRIOR, ClassScore, ScoreTable, read_score_table, scores_document
 from hrt_cli.artifacts.stage import REFUSE, Existing, begin
-from hrt_cli.drivability.feedback import Ease, Evidence, FeedbackSettings, evidence_of, updated
+from hrt_cli.drivability.feedback import Ease, Evidence, FeedbackSettings, evidence_of, once_a_spot, updated
 from hrt_cli.drivability.footprint import NODATA, Footprints
 from hrt_cli.drivability.terrain import Terrain, eased
 from hrt_cli.errors import InputError
@@ -126,6 +126,7 @@ def learn_scores(
             drives.append(evidence_of(log, classes.grid, places, footprints, settings, ease))
             notes += _notes(path, log, drives[-1], classes_path)
             progress(index + 1, len(logs))
+    drives = once_a_spot(drives)
     if dsm_path is not None:
         notes += _terrain_notes(dsm_path, drives)
     met = {int(k) for each in drives for k in np.unique(each.class_id)}

@@ -79,8 +79,8 @@ def make_scoremap(
 
     Without a table every class has the uniform prior. With one, every class of the raster must stand in it, or with
     `unknown_as_prior` has the prior too. No-go are cells that score less than `no_go_below`, and those of which more
-    than `no_go_share` is of classes that do. With an `interest` a cell's score is its expected drivability times what it
-    is worth; where the robot may go does not depend on it.
+    than `no_go_share` is of classes that do. With an `interest` a cell's score is its expected drivability times what
+    it is worth; where the robot may go does not depend on it.
 
     Raises
     ------

@@ -26,9 +26,8 @@ _LOG_EVERY = 4
 """Commands from one record to the next."""
 _ARRIVED_M = 0.4
 
-PATIENCE_S = 5.0
-"""A robot that was told to drive for so long and got on by less than `_NO_PROGRESS` of what was commanded is stuck."""
-_NO_PROGRESS = 0.05
+PATIENCE_S, _LEAST_M = 10.0, 0.5
+"""A robot that was told to drive for so long and got on by less than `_LEAST_M` is stuck (Nav2's progress checker)."""
 _FUTILE_S = 60.0
 """So is one that came no farther along its course for so long."""
 
@@ -137,20 +136,19 @@ class _Stall:
     """Tells when a robot that is told to drive does not."""
 
     def __init__(self) -> None:
-        self._recent: deque[tuple[float, float, float]] = deque()
+        self._recent: deque[float] = deque()
         self._best_m, self._best_s = -math.inf, 0.0
 
     def is_stuck(self, time_s: float, commanded_m_s: float, achieved_m_s: float, along_m: float) -> bool:
         if along_m > self._best_m + 0.05:
             self._best_m, self._best_s = along_m, time_s
         if commanded_m_s > 0.05:
-            self._recent.append((time_s, commanded_m_s, achieved_m_s))
+            self._recent.append(achieved_m_s)
             while len(self._recent) > PATIENCE_S / CONTROL_S:
                 self._recent.popleft()
         whole = len(self._recent) >= PATIENCE_S / CONTROL_S
-        wanted = sum(each[1] for each in self._recent)
-        got = sum(each[2] for each in self._recent)
-        return (whole and got < _NO_PROGRESS * wanted) or time_s - self._best_s > _FUTILE_S
+        gone_m = CONTROL_S * sum(self._recent)
+        return (whole and gone_m < _LEAST_M) or time_s - self._best_s > _FUTILE_S
 
 
 def simulate(setting: Setting, local: LocalPlanner, *, watch: Watch = unwatched, progress: Progress = silent) -> Drive:

@@ -11,13 +11,16 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from hrt_cli.artifacts.drivelog import read_drive_log
+from hrt_cli.artifacts.drivelog import DriveLog, read_drive_log
 from hrt_cli.errors import InputError
+from hrt_cli.raster.grid import Grid
 from hrt_cli.raster.scoremap import Scoremap
 from hrt_cli.raster.track import track_on
 
 _SAMPLES_PER_CELL = 20
 _MOST_SAMPLES = 50_000_000
+_NEAR_CELLS = 3
+"""A standstill so near to an earlier one is taken to have met the same thing."""
 
 
 @dataclass(frozen=True)
@@ -31,7 +34,7 @@ class Driven:
     stands : (int, int)
         The cell where the robot stands.
     blocked : list of (int, int)
-        The cells where it got stuck; where it still stands in one, the next one on its way.
+        The cells that may not be entered for where it got stuck.
     length_m, time_s : float
         What the drive took.
     path : ndarray, int64 [k, 2]
@@ -85,6 +88,7 @@ def read_drives(paths: Sequence[Path], scoremap: Scoremap) -> Driven:
     """
     drives = [_laid(path, scoremap) for path in paths]
     cells = np.concatenate([each.cells for each in drives])
+    standstills = [cell for each in drives for cell in each.blocked]
     stands, notes = drives[-1].stands, []
     if np.isnan(scoremap.score[stands]):
         go = cells[~np.isnan(scoremap.score[cells[:, 0], cells[:, 1]])]
@@ -97,11 +101,10 @@ def read_drives(paths: Sequence[Path], scoremap: Scoremap) -> Driven:
             f"{paths[-1]}: ends in cell {ended[0]},{ended[1]}, which is no-go: the robot has to go back to "
             f"{stands[0]},{stands[1]}, where the plan starts"
         ]
-    blocked = dict.fromkeys(cell for each in drives for cell in each.blocked if cell != stands)
     return Driven(
         cells=cells,
         stands=stands,
-        blocked=list(blocked),
+        blocked=_blocked(standstills, cells, stands, scoremap.grid.shape),
         length_m=math.fsum(each.length_m for each in drives),
         time_s=math.fsum(each.time_s for each in drives),
         path=np.concatenate([each.path for each in drives]),
@@ -109,7 +112,28 @@ def read_drives(paths: Sequence[Path], scoremap: Scoremap) -> Driven:
     )
 
 
+def _blocked(
+    standstills: list[tuple[int, int]], driven: NDArray[np.int64], stands: tuple[int, int], shape: tuple[int, int]
+) -> list[tuple[int, int]]:
+    """Return the cells that standstills block: the cell of each and, the more of them came about it, the wider.
+
+    What stops a robot is often larger than a cell. Where it has been stopped k times before within `_NEAR_CELLS`,
+    everything within k cells is blocked, but for what it drove through and where it stands.
+    """
+    free = {(int(row), int(col)) for row, col in driven} - set(standstills) | {stands}
+    blocked: dict[tuple[int, int], None] = {}
+    for number, (row, col) in enumerate(standstills):
+        near = sum(math.hypot(row - r, col - c) <= _NEAR_CELLS for r, c in standstills[:number])
+        reach = min(near, _NEAR_CELLS)
+        for r in range(max(row - reach, 0), min(row + reach + 1, shape[0])):
+            for c in range(max(col - reach, 0), min(col + reach + 1, shape[1])):
+                if math.hypot(r - row, c - col) <= reach and (r, c) not in free:
+                    blocked[r, c] = None
+    return list(blocked)
+
+
 def _laid(path: Path, scoremap: Scoremap) -> Driven:
+    """Lay one log on the cells; `blocked` are the cells of its standstills as they came, some perhaps off the map."""
     log = read_drive_log(path)
     grid = scoremap.grid
     rows, cols = track_on(path, log, grid, "scoremap")
@@ -125,10 +149,9 @@ def _laid(path: Path, scoremap: Scoremap) -> Driven:
         length_m = float(np.hypot(np.diff(rows), np.diff(cols)).sum() * scoremap.cell_size_m)
     else:
         length_m = float(grid.ground_length_m(rows, cols).sum()) if rows.size > 1 else 0.0
-    blocked = [_stuck_cell(rows, cols, index, stands) for index, event in log.events if event == "stuck"]
-    kept = [c for c in dict.fromkeys(blocked) if c != stands and 0 <= c[0] < grid.rows and 0 <= c[1] < grid.cols]
+    blocked = [_stuck_cell(log, grid, rows, cols, index, stands) for index, event in log.events if event == "stuck"]
     time_s = float(log.time_s[-1] - log.time_s[0])
-    return Driven(cells[on_map], stands, kept, length_m, time_s, cells, [])
+    return Driven(cells[on_map], stands, blocked, length_m, time_s, cells, [])
 
 
 def _cells(path: Path, rows: NDArray[np.float64], cols: NDArray[np.float64]) -> NDArray[np.int64]:
@@ -146,22 +169,36 @@ def _cells(path: Path, rows: NDArray[np.float64], cols: NDArray[np.float64]) -> 
 
 
 def _stuck_cell(
-    rows: NDArray[np.float64], cols: NDArray[np.float64], index: int, stands: tuple[int, int]
+    log: DriveLog,
+    grid: Grid,
+    rows: NDArray[np.float64],
+    cols: NDArray[np.float64],
+    index: int,
+    stands: tuple[int, int],
 ) -> tuple[int, int]:
-    """Return the cell of a record, or where the robot still stands in it the next one in its direction of travel."""
-    cell = (int(np.floor(rows[index])), int(np.floor(cols[index])))
-    if cell != stands:
-        return cell
-    for before in range(index - 1, -1, -1):
-        step = np.array([rows[index] - rows[before], cols[index] - cols[before]])
-        length = float(np.hypot(*step))
-        if length >= 0.5:
-            heading = step / length
-            for reach in np.arange(0.1, 1.6, 0.1):
-                ahead = (
-                    int(np.floor(rows[index] + reach * heading[0])),
-                    int(np.floor(cols[index] + reach * heading[1])),
-                )
-                if ahead != cell:
-                    return ahead
+    """Return the cell where a robot got stuck, or where it still stands in it the next one where it was heading."""
+    row, col = float(rows[index]), float(cols[index])
+    cell = (math.floor(row), math.floor(col))
+    along = _heading(log, grid, rows, cols, index) if cell == stands else None
+    if along is not None:
+        for reach in np.arange(0.1, 1.6, 0.1):
+            ahead = (math.floor(row + reach * along[0]), math.floor(col + reach * along[1]))
+            if ahead != cell:
+                return ahead
     return cell
+
+
+def _heading(
+    log: DriveLog, grid: Grid, rows: NDArray[np.float64], cols: NDArray[np.float64], index: int
+) -> tuple[float, float] | None:
+    """Return the direction of a robot, in cells: as logged, else over its last half cell of way."""
+    if np.isfinite(log.heading_deg[index]):
+        step_row, step_col = grid.steps_towards(rows[index], cols[index], log.heading_deg[index])
+        length = math.hypot(step_row[0], step_col[0])
+        return float(step_row[0]) / length, float(step_col[0]) / length
+    for before in range(index - 1, -1, -1):
+        step_r, step_c = float(rows[index] - rows[before]), float(cols[index] - cols[before])
+        length = math.hypot(step_r, step_c)
+        if length >= 0.5:
+            return step_r / length, step_c / length
+    return None
