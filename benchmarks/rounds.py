@@ -42,7 +42,7 @@ CELL_M = 1.0
 SCENES = ("meadow", "wildfire")
 MOST_LEGS = 25
 NO_GO_BELOW = 0.2
-NO_GO_SHARE = 0.15
+NO_GO_SHARE = 0.03
 ENOUGH_M = 20.0
 ROBOTS = ("feedback", "blind", "lawnmower")
 

@@ -12,7 +12,7 @@ from hrt_cli.raster.grid import Grid
 
 Floats = NDArray[np.float64]
 
-REACH_M = 0.5
+REACH_M = 0.7
 """What stopped a robot lies so far ahead of its hull."""
 EVENT_SHARE = {"collision": 1.0, "stuck": 1.0, "intervention": 0.5}
 """By what an event of each kind counts: a person steps in for reasons that are not always the ground's."""

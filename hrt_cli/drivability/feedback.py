@@ -30,7 +30,7 @@ Ease = Callable[[float, float], float]
 
 SPOT_M = 1.0
 """Side of the squares of ground by which episodes are told apart."""
-CONTACT_RADIUS_M = 0.5
+CONTACT_RADIUS_M = 0.6
 """Radius of the ground that is looked at for what stopped a robot."""
 _MOST_DISCS = 1000
 
@@ -97,7 +97,7 @@ class FeedbackSettings:
 
     curve: Curve = field(default=Curve())
     commanded_m_s: float | None = None
-    event_weight_m: float = 10.0
+    event_weight_m: float = 5.0
     robot_radius_m: float = 0.35
     gap_s: float = 10.0
     slope_limit_deg: float = 35.0
@@ -173,9 +173,8 @@ def evidence_of(
         while ahead < len(episodes) and episodes[ahead].event <= intervals.first[index]:
             taking.add(blamed[ahead], episodes[ahead].share * settings.event_weight_m, 0.0, ahead)
             ahead += 1
-        if holder[index] >= 0:
-            taking.add(blamed[holder[index]], weight_m, 0.0, holder[index])
-        elif weight_m > 0:
+        # A standstill weighs as its event, however long the robot tried.
+        if holder[index] < 0 and weight_m > 0:
             taking.add_way(intervals, index, weight_m, y)
     for index in range(ahead, len(episodes)):
         taking.add(blamed[index], episodes[index].share * settings.event_weight_m, 0.0, index)
