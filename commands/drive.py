@@ -42,6 +42,11 @@ Example:
 )
 @click.option("--after", type=opt.PATH, help="Log of the drive that this one goes on from: it begins where that ended.")
 @click.option(
+    "--record",
+    type=opt.PATH,
+    help="Folder for what the camera saw: frames, and labels.csv with the expert's steering, to train on.",
+)
+@click.option(
     "--time-limit",
     "time_limit_s",
     type=opt.FiniteFloat(0, low_open=True),
@@ -57,6 +62,7 @@ def drive(
     local: str,
     vehicle: str | None,
     after: Path | None,
+    record: Path | None,
     time_limit_s: float | None,
     seed: int,
     existing: Existing,
@@ -70,7 +76,9 @@ def drive(
 
     request = DriveRequest(local=local, vehicle=vehicle, time_limit_s=time_limit_s, seed=seed)
     with console.bar("drive") as progress:
-        done = drive_file(plan, world, output, request, after=after, existing=existing, progress=progress)
+        done = drive_file(
+            plan, world, output, request, after=after, record=record, existing=existing, progress=progress
+        )
     for note in done.notes:
         console.note(f"Note: {note}")
     state = " (up to date)" if done.up_to_date else ""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -11,13 +10,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from hrt_cli.artifacts.carriers import json_provenance
 from hrt_cli.artifacts.drivelog import Header, Robot, drive_provenance, publish_drive_log, read_drive_log
 from hrt_cli.artifacts.plan import PlanDocument, read_plan
-from hrt_cli.artifacts.stage import REFUSE, Existing, begin
+from hrt_cli.artifacts.stage import REFUSE, Existing, ReadProvenance, begin
 from hrt_cli.driving.course import Course
 from hrt_cli.driving.expert import GroundExpert, WaterExpert
 from hrt_cli.driving.local import LocalPlanner, Pursuit
-from hrt_cli.driving.simulator import Drive, Setting, first_heading, simulate
+from hrt_cli.driving.record import ABOUT, Recorder, prepare_folder
+from hrt_cli.driving.simulator import Drive, Setting, first_heading, simulate, unwatched
 from hrt_cli.driving.vehicle import VEHICLES, Vehicle
 from hrt_cli.errors import ArgumentError, InputError
 from hrt_cli.progress import Progress, silent
@@ -29,6 +30,8 @@ STAGE_VERSION = 1
 
 LOCAL_PLANNERS = ("pursuit", "expert")
 
+_BACK_UP_M = 0.4
+"""A robot that was stuck backs up so far before it goes on."""
 _FARTHEST_MOVED_M = 3.0
 """A robot put down on an obstacle is moved to free ground that is no farther away."""
 
@@ -86,6 +89,7 @@ def drive_file(
     request: DriveRequest,
     *,
     after: Path | None = None,
+    record: Path | None = None,
     existing: Existing = REFUSE,
     progress: Progress = silent,
 ) -> DriveSummary:
@@ -98,6 +102,8 @@ def drive_file(
     request : DriveRequest
     after : Path, optional
         Log of the drive that this one goes on from: the robot begins where that ended.
+    record : Path, optional
+        Folder for what the camera saw, with the expert's steering (`driving.record`).
 
     Raises
     ------
@@ -116,7 +122,11 @@ def drive_file(
         "time_limit_s": request.time_limit_s,
         "seed": request.seed,
     }
-    outputs: Mapping[Path, Any] = {output: drive_provenance}
+    outputs: dict[Path, ReadProvenance] = {output: drive_provenance}
+    if record is not None:
+        outputs[record / ABOUT] = json_provenance
+        parameters["record"] = True
+        record.mkdir(parents=True, exist_ok=True)
     if output.suffix.lower() != ".jsonl":
         raise ArgumentError(f"{output}: a drive log is written as .jsonl")
     job = begin(STAGE, STAGE_VERSION, inputs=inputs, parameters=parameters, outputs=outputs, existing=existing)
@@ -135,9 +145,16 @@ def drive_file(
             heading_rad=first_heading(course),
             seed=request.seed,
         )
-        drive = simulate(setting, local_planner(request.local, setting), progress=progress)
+        watch, recorder = unwatched, None
+        if record is not None:
+            prepare_folder(record, list(inputs.values()), overwrite=existing.overwrite or existing.force)
+            recorder = Recorder(setting, local_planner("expert", setting), record)
+            watch = recorder.watch
+        drive = simulate(setting, local_planner(request.local, setting), watch=watch, progress=progress)
         robot = Robot(kind=vehicle.kind, radius_m=vehicle.radius_m)
         header = Header(format="hrt-drive-log", crs=site.grid.crs_text(), robot=robot, end=drive.end)
+        if recorder is not None:
+            recorder.finish(f"{output.stem}-{request.seed}", job.provenance)
         publish_drive_log(output, header, _records(drive, site, vehicle), job.provenance)
     return _summary(output, job.up_to_date, notes)
 
@@ -163,17 +180,23 @@ def _course(
 ) -> tuple[Course, list[str]]:
     """Return the line to drive, from where the robot really stands, and what the user ought to know of it."""
     points = _on_site(path, np.array(plan.xy), plan.grid.crs, site)
-    wanted = points[0]
-    if after is not None:
-        log = read_drive_log(after)
-        crs = "EPSG:4326" if log.geographic else log.crs
-        wanted = _on_site(after, log.place[-1:], crs, site)[0]
+    wanted = points[0] if after is None else _left_at(after, site)
     start = _free_place(site, wanted, vehicle)
     if start is None:
         raise ArgumentError(f"{path}: its start lies on an obstacle or off the survey, and no free ground is near")
     moved = float(np.hypot(*(start - wanted)))
     notes = [f"the robot is put down {moved:.1f} m beside the start, which is blocked"] if moved > 0.5 else []
     return Course(np.vstack([start, points[1:] if len(points) > 1 else points])), notes
+
+
+def _left_at(path: Path, site: Site) -> NDArray[np.float64]:
+    """Return where a drive left the robot; where that was stuck, it has backed up a little."""
+    log = read_drive_log(path)
+    place = _on_site(path, log.place[-1:], "EPSG:4326" if log.geographic else log.crs, site)[0]
+    if log.end == "stuck" and np.isfinite(log.heading_deg[-1]):
+        heading = math.radians(log.heading_deg[-1]) - site.up_bearing_rad
+        place = place - _BACK_UP_M * np.array([math.sin(heading), -math.cos(heading)])
+    return np.asarray(place)
 
 
 def _on_site(path: Path, xy: NDArray[np.float64], crs: str | None, site: Site) -> NDArray[np.float64]:

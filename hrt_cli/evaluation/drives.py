@@ -14,6 +14,8 @@ from rasterio.crs import CRS
 from rasterio.errors import CRSError
 
 from hrt_cli.artifacts.drivelog import DriveLog, read_drive_log
+from hrt_cli.driving.lens import look
+from hrt_cli.driving.local import Pose
 from hrt_cli.driving.motion import bottom_clearance, sample
 from hrt_cli.driving.vehicle import AUV, UGV, Vehicle
 from hrt_cli.errors import ArgumentError, InputError
@@ -22,7 +24,7 @@ from hrt_cli.progress import Progress, silent
 from hrt_cli.raster.grid import WGS84, Grid
 from hrt_cli.raster.scoremap import read_scoremap
 from hrt_cli.raster.track import track_on
-from hrt_cli.world.camera import Camera, Lens, Weather
+from hrt_cli.world.camera import Camera
 from hrt_cli.world.site import Site, load_site
 
 _IDENTITY = Affine.identity()
@@ -243,6 +245,8 @@ def _poses(path: Path, log: DriveLog, site: Site) -> _Poses:
     rows, cols = track_on(path, log, site.grid, "world")
     if not ((rows >= 0) & (rows <= site.grid.rows) & (cols >= 0) & (cols <= site.grid.cols)).any():
         raise InputError(path, "lies wholly off the world")
+    if log.robot is not None and log.robot.kind == "auv" and not np.isfinite(log.depth_m).all():
+        raise InputError(path, "has no depth_m in some records, without which an underwater robot is nowhere")
     place = np.stack([cols, rows], axis=1) * site.pixel_m
     heading = np.radians(log.heading_deg) - site.up_bearing_rad
     unknown = np.isnan(heading)
@@ -280,7 +284,7 @@ def _views(
     site: Site, poses: _Poses, log: DriveLog, vehicle: Vehicle, target: int, gone_m: NDArray[np.float64]
 ) -> list[tuple[float, float]]:
     """Return metres driven and the share of the picture that the target covers, for a frame every second."""
-    camera = Camera(site, Lens(), Weather.clear())
+    camera = Camera(site)
     views = []
     due = -math.inf
     for k, now in enumerate(log.time_s):
@@ -288,17 +292,8 @@ def _views(
             continue
         due = now + LOOK_EVERY_S
         east, south = poses.place[k]
-        height = poses.height_m[k]
-        if vehicle.kind == "ugv" or math.isnan(height):
-            height = sample(site.ground_m, site.pixel_m, east, south)
-        frame = camera.view(
-            east,
-            south,
-            height + vehicle.lens_height_m,
-            poses.heading_rad[k],
-            poses.pitch_rad[k] + vehicle.lens_pitch_rad,
-        )
-        views.append((float(gone_m[k]), frame.share(target)))
+        pose = Pose(east, south, poses.height_m[k], poses.heading_rad[k], poses.pitch_rad[k])
+        views.append((float(gone_m[k]), look(camera, site, vehicle, pose).share(target)))
     return views
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import textwrap
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -20,6 +21,7 @@ if TYPE_CHECKING:
 STAGE_VERSION = 1
 _COLOUR, _MEAN_COLOUR = "#0072b2", "#d55e00"
 _BIN_M = 0.1
+_CAPTION_CHARS = 130
 _SMOOTHED_M = 20.0
 
 
@@ -73,7 +75,7 @@ def draw_drives(
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(10.0, 4.2), layout="constrained")
-    figure.suptitle(caption, x=0.01, ha="left", fontsize=10)
+    figure.suptitle("\n".join(textwrap.wrap(caption, _CAPTION_CHARS)), x=0.01, ha="left", fontsize=10)
     panels = figure.subplots(1, 2 if view else 1, squeeze=False)[0]
     _histogram(panels[0], clearance_m, weight_s)
     if view:

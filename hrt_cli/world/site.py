@@ -23,7 +23,7 @@ from hrt_cli.raster.classes import open_classes
 from hrt_cli.raster.gate import open_raster
 from hrt_cli.raster.grid import Grid
 from hrt_cli.raster.image import open_orthomosaic
-from hrt_cli.world.terrain import bare_ground, clearance, fill, slope
+from hrt_cli.world.terrain import bare_ground, clearance, fill, rise, slope
 
 UNKNOWN = 255
 """Class id of a pixel whose class is not known."""
@@ -34,6 +34,8 @@ MOST_PX = 36_000_000
 
 TALL_M = 0.30
 """What stands higher than this above the ground is an obstacle to a ground vehicle."""
+STEP_M, STEP_REACH_M = 0.30, 0.30
+"""Neither does it climb a step of this height within this distance."""
 STEEPEST = math.tan(math.radians(35.0))
 """Rise over run at which a ground vehicle no longer gets on."""
 
@@ -165,7 +167,7 @@ def load_site(folder: Path, pixel_m: float | None = None) -> Site:
     surface = np.where(measured, surface, ground)
     document, classes = _truth(files, grid)
     true = {} if document is None else document.by_id()
-    obstacle = (surface - ground > TALL_M) & measured
+    obstacle = ((surface - ground > TALL_M) | (rise(surface, pixel, STEP_REACH_M) > STEP_M)) & measured
     obstacle |= _table(true, 0.0, lambda each: float(each.obstacle))[classes] > 0
     drivability = _table(true, 1.0, lambda each: each.drivability)[classes]
     # A robot that holds its speed climbs until its wheels slip: little is lost up to half of the steepest slope.

@@ -13,7 +13,7 @@ Heights = NDArray[np.float32]
 
 _WINDOWS_M = (0.5, 1.0, 2.0, 4.0, 8.0, 12.0)
 """Sides of the opening windows: things up to the widest are told from hills."""
-_STEEPEST = 0.25
+_STEEPEST = 0.45
 """Rise over run that bare ground may have between two windows."""
 _STEP_M = 0.08
 
@@ -97,6 +97,13 @@ def bare_ground(surface: Heights, pixel_m: float) -> Heights:
     ground = cv2.GaussianBlur(ground, (0, 0), 0.5 / cell_m)
     back = cv2.resize(ground, (cols, rows), interpolation=cv2.INTER_LINEAR) if step > 1 else ground
     return np.asarray(np.minimum(back, surface), np.float32)
+
+
+def rise(surface: Heights, pixel_m: float, reach_m: float) -> Heights:
+    """Return the height that the surface rises and falls within `reach_m` across each pixel, float32 [rows, cols]."""
+    side = 2 * max(1, round(reach_m / 2 / pixel_m)) + 1
+    kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (side, side))
+    return np.asarray(cv2.morphologyEx(surface, cv2.MORPH_GRADIENT, kernel, borderType=cv2.BORDER_REFLECT))
 
 
 def slope(ground: Heights, pixel_m: float, smooth_m: float = 0.5) -> Heights:

@@ -1,0 +1,127 @@
+"""Steering data from a drive: what the robot's camera saw, and what the expert would have done there.
+
+The labels are the expert's whoever drives, so that frames of a poor driver teach how to get back (DAgger: Ross,
+Gordon and Bagnell 2011).
+"""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+
+from hrt_cli.artifacts.carriers import publish_json
+from hrt_cli.artifacts.provenance import Provenance
+from hrt_cli.artifacts.publish import publishing
+from hrt_cli.driving.lens import look
+from hrt_cli.driving.local import Command, LocalPlanner, Pose
+from hrt_cli.driving.simulator import Setting
+from hrt_cli.errors import OutputError
+from hrt_cli.world.camera import Camera
+
+LABELS, FRAMES, ABOUT = "labels.csv", "frames", "recording.json"
+EVERY_S = 0.5
+"""Between two frames."""
+_QUALITY = 95
+
+
+class Recorder:
+    """Takes a frame every half second of a drive; `watch` is a `simulator.Watch`.
+
+    Parameters
+    ----------
+    setting : Setting
+    teacher : LocalPlanner
+        The expert, of its own: it is asked only here.
+    folder : Path
+        Gets `frames/000000.jpg`, ... as the drive goes on, and in the end `labels.csv` and `recording.json`.
+    """
+
+    def __init__(self, setting: Setting, teacher: LocalPlanner, folder: Path) -> None:
+        self._setting, self._teacher, self._folder = setting, teacher, folder
+        rng = np.random.default_rng([setting.seed, 0xCA])
+        camera = Camera(setting.site)
+        self._camera = camera.changed(weather=camera.weather.jittered(rng))
+        self._rows: list[tuple[str, float, float]] = []
+        self._due_s = 0.0
+
+    def watch(self, time_s: float, pose: Pose, command: Command) -> None:
+        """Take a frame if one is due; where the expert sees no way on there is nothing to teach."""
+        wanted = self._teacher.decide(pose)
+        if time_s < self._due_s or wanted is None:
+            return
+        self._due_s = time_s + EVERY_S
+        number = len(self._rows)
+        seed = 1_000_003 * self._setting.seed + number
+        frame = look(self._camera, self._setting.site, self._setting.vehicle, pose, noise_seed=seed)
+        name = f"{FRAMES}/{number:06d}.jpg"
+        done, data = cv2.imencode(".jpg", frame.rgb[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])
+        if not done:
+            raise OutputError(f"{self._folder / name}: cannot be encoded")
+        try:
+            (self._folder / name).write_bytes(data.tobytes())
+        except OSError as error:
+            raise OutputError(f"{self._folder / name}: cannot be written: {error.strerror}") from error
+        self._rows.append((name, wanted.yaw, wanted.pitch))
+
+    def finish(self, session: str, provenance: Provenance) -> int:
+        """Write the labels; return how many frames there are."""
+        swims = self._setting.vehicle.kind == "auv"
+        lines = ["image,yaw,pitch,session" if swims else "image,yaw,session"]
+        for name, yaw, pitch in self._rows:
+            labels = f"{yaw:.5f},{pitch:.5f}" if swims else f"{yaw:.5f}"
+            lines.append(f"{name},{labels},{session}")
+        text = "\n".join(lines) + "\n"
+
+        def check(draft: Path) -> None:
+            if draft.read_text(encoding="utf-8") != text:
+                raise OutputError(f"{draft.name}: did not read back as it was written (is the disk full?)")
+
+        with publishing(self._folder / LABELS, check) as draft:
+            draft.write_text(text, encoding="utf-8")
+        publish_json(self._folder / ABOUT, self._about(session), provenance)
+        return len(self._rows)
+
+    def _about(self, session: str) -> dict[str, Any]:
+        lens = self._camera.lens
+        return {
+            "format": "hrt-recording",
+            "version": 1,
+            "frames": len(self._rows),
+            "session": session,
+            "vehicle": self._setting.vehicle.kind,
+            "labels": "the expert's steering: yaw 1 heads 45 degrees to the right or more, pitch 1 is the steepest climb",
+            "lens": {"width": lens.width, "height": lens.height, "hfov_deg": lens.hfov_deg},
+            "every_s": EVERY_S,
+        }
+
+
+def prepare_folder(folder: Path, inputs: Sequence[Path], *, overwrite: bool) -> None:
+    """Make an empty folder for a recording.
+
+    Raises
+    ------
+    OutputError
+        Something else stands in its place, or a recording that may not be replaced.
+    """
+    if any(folder.resolve() in path.resolve().parents or folder.resolve() == path.resolve() for path in inputs):
+        raise OutputError(f"{folder}: holds an input of the drive; record into another folder")
+    if folder.exists() and not folder.is_dir():
+        raise OutputError(f"{folder}: is a file; a recording needs a folder")
+    ours = {LABELS, FRAMES, ABOUT}
+    found = {path.name for path in folder.iterdir()} if folder.exists() else set()
+    if found - ours:
+        raise OutputError(f"{folder}: holds {sorted(found - ours)[0]!r}, which is no part of a recording")
+    if LABELS in found and not overwrite:
+        raise OutputError(f"{folder}: holds a recording that was not made by this run; use --overwrite to replace it")
+    try:
+        for name in (LABELS, ABOUT):
+            (folder / name).unlink(missing_ok=True)
+        shutil.rmtree(folder / FRAMES, ignore_errors=True)
+        (folder / FRAMES).mkdir(parents=True)
+    except OSError as error:
+        raise OutputError(f"{folder}: cannot be made: {error.strerror}") from error
