@@ -57,11 +57,12 @@ def drive(
         found = evaluate_drives(logs, world=world, scoremap=scoremap, target=target, progress=progress)
     if figure is not None:
         from hrt_cli.report.drives import draw_drives
+        from hrt_cli.world.site import site_files
 
+        inputs = {f"log/{index}": path for index, path in enumerate(logs)} | (site_files(world) if world else {})
         draw_drives(
-            list(logs), figure, world, found.clearance_m, found.weight_s, found.view, caption=_line(found.total),
-            existing=existing,
-        )  # fmt: skip
+            inputs, figure, found.clearance_m, found.weight_s, found.view, caption=_line(found.total), existing=existing
+        )
     name = str(logs[0]) if len(logs) == 1 else f"{len(logs)} drives"
     console.result(
         f"{name}: {_line(found.total)}",

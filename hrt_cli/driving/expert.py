@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hrt_cli.driving.course import Carrot, Course
 from hrt_cli.driving.field import CostMap, cost_map, follow, is_clear, ways_to
@@ -61,23 +62,34 @@ class GroundExpert:
 
     def _choose(self, pose: Pose) -> bool:
         """Take the next place on the course that can be reached, or say that there is none."""
-        ahead = self.along_m + _TARGET_M
         end = self._course.length_m
+        at = min(self.along_m + _TARGET_M, end)
+        reach = None
         while True:
-            at = min(ahead, end)
             place = self._course.point(at)
-            if self._map.passable(*place) and self._search(place, pose):
-                self._target, self._target_m = place, at
-                return True
+            cell = self._map.cell(*place)
+            if math.isfinite(self._map.cost[cell]) and (reach is None or math.isfinite(reach[cell])):
+                if self._search(cell, pose):
+                    self._target, self._target_m = place, at
+                    return True
+                if reach is None:  # rather than search from each of the places beyond, which may be thousands
+                    reach = self._reach(pose)
             if at >= end:
                 return False
-            ahead = at + self._map.cell_m
+            at = min(at + self._map.cell_m, end)
 
-    def _search(self, place: tuple[float, float], pose: Pose) -> bool:
-        row, col = self._map.cell(*place)
+    def _search(self, cell: tuple[int, int], pose: Pose) -> bool:
+        """Find the ways to a cell, as far as the robot, or say that there is none from where it is."""
         here = self._map.cell(pose.east_m, pose.south_m)
-        cost = ways_to(self._map.cost, self._map.cell_m, row, col, here[0], here[1], _LONGEST_DETOUR_S, self._to_go)
+        cost = ways_to(self._map.cost, self._map.cell_m, *cell, *here, _LONGEST_DETOUR_S, self._to_go)
         return math.isfinite(cost)
+
+    def _reach(self, pose: Pose) -> NDArray[np.float32]:
+        """Return what it costs to get to each cell, infinite where it cannot be reached."""
+        here = self._map.cell(pose.east_m, pose.south_m)
+        found = np.empty_like(self._to_go)
+        ways_to(self._map.cost, self._map.cell_m, *here, -1, -1, _LONGEST_DETOUR_S, found)
+        return found
 
     def _aim(self, pose: Pose, here: tuple[int, int]) -> tuple[float, float]:
         assert self._target is not None

@@ -59,7 +59,7 @@ def cost_map(site: Site, radius_m: float) -> CostMap:
 
     room = blocks(np.minimum(site.clearance_m, 99.0), 0.0).min(axis=(1, 3))
     speed = blocks(site.speed_factor, 0.0).mean(axis=(1, 3))
-    rim = blocks(_rim_distance(site), 0.0).min(axis=(1, 3))
+    rim = blocks(rim_distance(site), 0.0).min(axis=(1, 3))
     spare = np.minimum(room, rim) - radius_m
     near = np.clip(1.0 - spare / _COMFORT_M, 0.0, 1.0)
     cost = (1.0 + _FEAR * near * near) / np.maximum(speed, _SLOWEST)
@@ -67,7 +67,7 @@ def cost_map(site: Site, radius_m: float) -> CostMap:
     return CostMap(np.ascontiguousarray(cost, np.float32), step * site.pixel_m)
 
 
-def _rim_distance(site: Site) -> NDArray[np.float32]:
+def rim_distance(site: Site) -> NDArray[np.float32]:
     """Return the distance of each pixel to what the survey did not see, the raster's edge included."""
     seen = np.pad(site.seen.astype(np.uint8), 1)
     return np.asarray(cv2.distanceTransform(seen, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)[1:-1, 1:-1] * site.pixel_m)
@@ -147,10 +147,11 @@ def is_clear(
     length = math.hypot(east1 - east0, south1 - south0)
     count = int(length / (0.25 * cell_m)) + 1
     rows, cols = cost.shape
-    first_r, first_c = int(south0 / cell_m), int(east0 / cell_m)
+    first_r, first_c = math.floor(south0 / cell_m), math.floor(east0 / cell_m)
     for k in range(1, count + 1):
         part = k / count
-        r, c = int((south0 + part * (south1 - south0)) / cell_m), int((east0 + part * (east1 - east0)) / cell_m)
+        r = math.floor((south0 + part * (south1 - south0)) / cell_m)
+        c = math.floor((east0 + part * (east1 - east0)) / cell_m)
         if r == first_r and c == first_c:
             continue
         if r < 0 or c < 0 or r >= rows or c >= cols or not np.isfinite(cost[r, c]):

@@ -130,7 +130,7 @@ def swim_on(
         elif room < radius_m and room < before:
             met = max(met, CONTACT)
             state[5] = 0.0
-            state[2] += 0.3 * dt_s  # it floats up
+            state[2] = min(state[2] + 0.3 * dt_s, -radius_m)  # it floats up
         else:
             state[5] = math.sqrt((east - state[0]) ** 2 + (south - state[1]) ** 2 + (height - state[2]) ** 2) / dt_s
             state[0], state[1], state[2] = east, south, height

@@ -94,7 +94,7 @@ class Recorder:
             "frames": len(self._rows),
             "session": session,
             "vehicle": self._setting.vehicle.kind,
-            "labels": "the expert's steering: yaw 1 heads 45 degrees to the right or more, pitch 1 is the steepest climb",
+            "labels": "the expert's steering: yaw 1 is 45 degrees to the right or more, pitch 1 is the steepest climb",
             "lens": {"width": lens.width, "height": lens.height, "hfov_deg": lens.hfov_deg},
             "every_s": EVERY_S,
         }

@@ -16,6 +16,7 @@ from hrt_cli.artifacts.plan import PlanDocument, read_plan
 from hrt_cli.artifacts.stage import REFUSE, Existing, ReadProvenance, begin
 from hrt_cli.driving.course import Course
 from hrt_cli.driving.expert import GroundExpert, WaterExpert
+from hrt_cli.driving.field import rim_distance
 from hrt_cli.driving.local import LocalPlanner, Pursuit
 from hrt_cli.driving.record import ABOUT, Recorder, prepare_folder
 from hrt_cli.driving.simulator import Drive, Setting, first_heading, simulate, unwatched
@@ -160,7 +161,15 @@ def drive_file(
 
 
 def local_planner(name: str, setting: Setting) -> LocalPlanner:
-    """Return the local planner of a name."""
+    """Return the local planner of a name.
+
+    Raises
+    ------
+    ArgumentError
+        There is none.
+    """
+    if name not in LOCAL_PLANNERS:
+        raise ArgumentError(f"there is no local planner {name!r}, only {', '.join(LOCAL_PLANNERS)}")
     if name == "pursuit":
         return Pursuit(setting.course, setting.vehicle)
     expert = GroundExpert if setting.vehicle.kind == "ugv" else WaterExpert
@@ -214,16 +223,17 @@ def _free_place(site: Site, wanted: NDArray[np.float64], vehicle: Vehicle) -> ND
     row, col = site.pixel(float(wanted[0]), float(wanted[1]))
     r0, c0 = max(row - reach, 0), max(col - reach, 0)
     part = np.s_[r0 : max(row + reach + 1, 0), c0 : max(col + reach + 1, 0)]
-    free = site.seen[part].copy()
+    room = rim_distance(site)[part]
     if vehicle.kind == "ugv":
-        free &= site.clearance_m[part] > vehicle.radius_m + site.pixel_m
-    if not free.any():
-        return None
+        room = np.minimum(room, site.clearance_m[part])
+    free = room > vehicle.radius_m + site.pixel_m
     rows, cols = np.nonzero(free)
     places = np.stack([cols + c0 + 0.5, rows + r0 + 0.5], axis=1) * site.pixel_m
     away = np.hypot(*(places - wanted).T)
-    nearest = int(away.argmin())
-    return wanted if away[nearest] <= site.pixel_m else places[nearest]
+    if away.min(initial=np.inf) > _FARTHEST_MOVED_M:
+        return None
+    nearest = places[int(away.argmin())]
+    return wanted if site.pixel(*wanted) == site.pixel(*nearest) else nearest
 
 
 def _records(drive: Drive, site: Site, vehicle: Vehicle) -> list[dict[str, Any]]:

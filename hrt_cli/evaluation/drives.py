@@ -17,9 +17,9 @@ from hrt_cli.artifacts.drivelog import DriveLog, read_drive_log
 from hrt_cli.driving.lens import look
 from hrt_cli.driving.local import Pose
 from hrt_cli.driving.motion import bottom_clearance, sample
-from hrt_cli.driving.vehicle import AUV, UGV, Vehicle
+from hrt_cli.driving.vehicle import VEHICLES, Vehicle
 from hrt_cli.errors import ArgumentError, InputError
-from hrt_cli.planning.resume import read_drives
+from hrt_cli.planning.resume import driven_cells
 from hrt_cli.progress import Progress, silent
 from hrt_cli.raster.grid import WGS84, Grid
 from hrt_cli.raster.scoremap import read_scoremap
@@ -84,7 +84,7 @@ class DriveEvaluation:
     drives : dict of str to DriveMeasure
         By file; `score_collected` there is that of the drive by itself.
     clearance_m : float64 [n]
-        Clearance at every record, NaN-free; empty without a world.
+        Clearance at every record where it is known; empty without a world.
     weight_s : float64 [n]
         Time that each stands for.
     view : list of (float, float)
@@ -162,7 +162,7 @@ def _collected(logs: Sequence[Path], scoremap_path: Path | None) -> float | None
     if scoremap_path is None:
         return None
     scoremap = read_scoremap(scoremap_path)
-    cells = {(int(row), int(col)) for row, col in read_drives(logs, scoremap).cells}
+    cells = {(int(row), int(col)) for path in logs for row, col in driven_cells(path, scoremap)}
     scores = [float(scoremap.score[cell]) for cell in sorted(cells)]
     return math.fsum(score for score in scores if not math.isnan(score))
 
@@ -170,13 +170,16 @@ def _collected(logs: Sequence[Path], scoremap_path: Path | None) -> float | None
 def _measure(path: Path, site: Site | None, target: int | None, score: float | None) -> _Measured:
     log = read_drive_log(path)
     gone_m = _gone(path, log)
-    step_s = np.diff(log.time_s)
+    step_s = np.where(_driven(log), np.diff(log.time_s), 0.0)
     weight_s = np.append(step_s, 0.0) / 2 + np.append(0.0, step_s) / 2
     clearance, view = np.zeros(0), []
     if site is not None:
-        vehicle = UGV if log.robot is None or log.robot.kind == "ugv" else AUV
+        kind = log.robot.kind if log.robot is not None else "auv" if site.under_water else "ugv"
+        vehicle = VEHICLES[kind]
         poses = _poses(path, log, site)
         clearance = _clearances(site, poses, log, vehicle)
+        known = ~np.isnan(clearance)
+        clearance, weight_s = clearance[known], weight_s[known]
         if target is not None:
             view = _views(site, poses, log, vehicle, target, gone_m)
     events = [event for _, event in log.events]
@@ -192,26 +195,37 @@ def _measure(path: Path, site: Site | None, target: int | None, score: float | N
         target_in_view=float(np.mean([share for _, share in view])) if view else None,
         score_collected=score,
     )
-    return _Measured(measure, clearance, weight_s if clearance.size else np.zeros(0), view)
+    return _Measured(measure, clearance, weight_s[: clearance.size], view)
 
 
 def _gone(path: Path, log: DriveLog) -> NDArray[np.float64]:
     """Return the metres driven up to each record: by speed where the log has it, else between places."""
     if np.isfinite(log.speed_m_s).all():
         legs = 0.5 * (log.speed_m_s[1:] + log.speed_m_s[:-1]) * np.diff(log.time_s)
-        return np.append(0.0, np.cumsum(legs))
+        return np.append(0.0, np.cumsum(np.where(_driven(log), legs, 0.0)))
     crs = _crs(path, log)
     # A grid of one unit a pixel with its origin at 0, 0: places are pixel positions, and lengths ground metres.
     grid = Grid(1, 1, _IDENTITY, crs)
-    kept = [0]
     gone = np.zeros(len(log.time_s))
+    last = 0
     for k in range(1, len(gone)):
-        a, b = log.place[kept[-1]], log.place[k]
+        gone[k] = gone[k - 1]
+        if k in log.breaks:
+            last = k
+            continue
+        a, b = log.place[last], log.place[k]
         leg = float(grid.ground_length_m([a[1], b[1]], [a[0], b[0]])[0])
         if leg >= _THIN_M:
-            gone[k:] += leg
-            kept.append(k)
+            gone[k] += leg
+            last = k
     return gone
+
+
+def _driven(log: DriveLog) -> NDArray[np.bool_]:
+    """Whether each pair of neighbouring records [n - 1] has a drive between them."""
+    driven = np.ones(len(log.time_s) - 1, np.bool_)
+    driven[np.array(log.breaks, np.int64) - 1] = False
+    return driven
 
 
 def _crs(path: Path, log: DriveLog) -> CRS | None:
@@ -228,12 +242,12 @@ def _stalled(log: DriveLog) -> float | None:
         return None
     told = log.commanded_m_s[1:] > _COMMANDED_M_S
     stands = log.speed_m_s[1:] < STALLED * log.commanded_m_s[1:]
-    return float(np.diff(log.time_s)[told & stands].sum())
+    return float(np.diff(log.time_s)[told & stands & _driven(log)].sum())
 
 
 @dataclass(frozen=True)
 class _Poses:
-    """Places on the site [n, 2], heights [n] (NaN: on the ground), headings and pitches in radians [n]."""
+    """Places on the site [n, 2], heights [n] (NaN: not known), headings and pitches in radians [n]."""
 
     place: NDArray[np.float64]
     height_m: NDArray[np.float64]
@@ -245,8 +259,6 @@ def _poses(path: Path, log: DriveLog, site: Site) -> _Poses:
     rows, cols = track_on(path, log, site.grid, "world")
     if not ((rows >= 0) & (rows <= site.grid.rows) & (cols >= 0) & (cols <= site.grid.cols)).any():
         raise InputError(path, "lies wholly off the world")
-    if log.robot is not None and log.robot.kind == "auv" and not np.isfinite(log.depth_m).all():
-        raise InputError(path, "has no depth_m in some records, without which an underwater robot is nowhere")
     place = np.stack([cols, rows], axis=1) * site.pixel_m
     heading = np.radians(log.heading_deg) - site.up_bearing_rad
     unknown = np.isnan(heading)
@@ -271,12 +283,12 @@ def _travel_heading(place: NDArray[np.float64]) -> NDArray[np.float64]:
 def _clearances(site: Site, poses: _Poses, log: DriveLog, vehicle: Vehicle) -> NDArray[np.float64]:
     radius = log.robot.radius_m if log.robot is not None else vehicle.radius_m
     reach = _FARTHEST_M + radius
-    room = np.empty(len(poses.place))
+    room = np.full(len(poses.place), np.nan)
     for k, (east, south) in enumerate(poses.place):
-        if vehicle.kind == "auv":
-            room[k] = bottom_clearance(site.surface_m, site.pixel_m, east, south, poses.height_m[k], reach)
-        else:
+        if vehicle.kind == "ugv":
             room[k] = min(sample(site.clearance_m, site.pixel_m, east, south), reach)
+        elif not math.isnan(poses.height_m[k]):
+            room[k] = bottom_clearance(site.surface_m, site.pixel_m, east, south, poses.height_m[k], reach)
     return np.clip(room - radius, 0.0, _FARTHEST_M)
 
 
@@ -292,7 +304,10 @@ def _views(
             continue
         due = now + LOOK_EVERY_S
         east, south = poses.place[k]
-        pose = Pose(east, south, poses.height_m[k], poses.heading_rad[k], poses.pitch_rad[k])
+        height = poses.height_m[k]
+        if math.isnan(height):
+            height = sample(site.surface_m, site.pixel_m, east, south) + vehicle.altitude_m
+        pose = Pose(east, south, height, poses.heading_rad[k], poses.pitch_rad[k])
         views.append((float(gone_m[k]), look(camera, site, vehicle, pose).share(target)))
     return views
 

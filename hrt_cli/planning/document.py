@@ -68,9 +68,17 @@ def plan_document(
     )
 
 
-def staying_document(scoremap: Scoremap, request: PlanRequest, driven: list[Driven]) -> artifact.PlanDocument:
-    """Return the plan of a robot that stays where it is, with nothing more to collect."""
+def staying_document(scoremap: Scoremap, request: PlanRequest, driven: list[Driven]) -> artifact.PlanDocument | None:
+    """Return the plan of a robot that stays where it is, with nothing more to collect.
+
+    None where it has to end elsewhere.
+    """
     start = start_cell(request.starts[0], scoremap) if request.starts else driven[0].stands
+    end = start if request.return_home else None
+    if request.ends:
+        end = start_cell(request.ends[0], scoremap, "end")
+    if end not in (None, start):
+        return None
     collected = sorted({(int(row), int(col)) for each in driven for row, col in each.cells})
     score = 0.0 if start in collected else float(np.nan_to_num(scoremap.score[start]))
     row, col = np.array([start[0] + 0.5]), np.array([start[1] + 0.5])
@@ -89,6 +97,7 @@ def staying_document(scoremap: Scoremap, request: PlanRequest, driven: list[Driv
         budget=artifact.Budget(value=request.budget.value, unit=request.budget.unit, cells=0.0),
         grid=_grid(scoremap.grid, scoremap.cell_size_m),
         start=start,
+        end=end,
         collected=collected,
         blocked=sorted({cell for each in driven for cell in each.blocked}),
         steps=0,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -37,8 +38,8 @@ class Driven:
         The cells that may not be entered for where it got stuck.
     length_m, time_s : float
         What the drive took.
-    path : ndarray, int64 [k, 2]
-        The same cells with those off the map, none twice in a row.
+    legs : list of ndarray, int64 [k, 2]
+        The same cells with those off the map, none twice in a row; from one leg to the next nobody drove.
     notes : list of str
         What the user ought to know of it.
     """
@@ -48,7 +49,7 @@ class Driven:
     blocked: list[tuple[int, int]]
     length_m: float
     time_s: float
-    path: NDArray[np.int64]
+    legs: list[NDArray[np.int64]]
     notes: list[str]
 
     def spent(self, unit: Literal["steps", "m", "min"], connectivity: int) -> float:
@@ -57,7 +58,7 @@ class Driven:
             return self.length_m
         if unit == "min":
             return self.time_s / 60.0
-        jumps = np.abs(np.diff(self.path, axis=0))
+        jumps = np.concatenate([np.abs(np.diff(leg, axis=0)) for leg in self.legs])
         return float(jumps.max(axis=1, initial=0).sum() if connectivity == 8 else jumps.sum())
 
 
@@ -107,7 +108,7 @@ def read_drives(paths: Sequence[Path], scoremap: Scoremap) -> Driven:
         blocked=_blocked(standstills, cells, stands, scoremap.grid.shape),
         length_m=math.fsum(each.length_m for each in drives),
         time_s=math.fsum(each.time_s for each in drives),
-        path=np.concatenate([each.path for each in drives]),
+        legs=[leg for each in drives for leg in each.legs],
         notes=notes,
     )
 
@@ -132,26 +133,62 @@ def _blocked(
     return list(blocked)
 
 
+def driven_cells(path: Path, scoremap: Scoremap) -> NDArray[np.int64]:
+    """Return the cells of a scoremap that a drive went through, int64 [n, 2], in order; it may end off the map.
+
+    Raises
+    ------
+    InputError
+        The log cannot be read, its places cannot be laid on the map, or it lies wholly off it.
+    """
+    log = read_drive_log(path)
+    return _on_map(_legs(path, log, *_places(path, log, scoremap)), scoremap)
+
+
+def _places(path: Path, log: DriveLog, scoremap: Scoremap) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    grid = scoremap.grid
+    rows, cols = track_on(path, log, grid, "scoremap")
+    if not ((rows >= 0) & (rows < grid.rows) & (cols >= 0) & (cols < grid.cols)).any():
+        raise InputError(path, f"lies wholly off the scoremap of {grid.rows} x {grid.cols} cells")
+    return rows, cols
+
+
+def _legs(path: Path, log: DriveLog, rows: NDArray[np.float64], cols: NDArray[np.float64]) -> list[NDArray[np.int64]]:
+    ends = [0, *log.breaks, rows.size]
+    return [_cells(path, rows[a:b], cols[a:b]) for a, b in itertools.pairwise(ends)]
+
+
+def _on_map(legs: list[NDArray[np.int64]], scoremap: Scoremap) -> NDArray[np.int64]:
+    cells = np.concatenate(legs)
+    return cells[((cells >= 0) & (cells < np.array(scoremap.grid.shape))).all(axis=1)]
+
+
 def _laid(path: Path, scoremap: Scoremap) -> Driven:
     """Lay one log on the cells; `blocked` are the cells of its standstills as they came, some perhaps off the map."""
     log = read_drive_log(path)
     grid = scoremap.grid
-    rows, cols = track_on(path, log, grid, "scoremap")
-    inside = (rows >= 0) & (rows < grid.rows) & (cols >= 0) & (cols < grid.cols)
-    if not inside.any():
-        raise InputError(path, f"lies wholly off the scoremap of {grid.rows} x {grid.cols} cells")
+    rows, cols = _places(path, log, scoremap)
     stands = (int(np.floor(rows[-1])), int(np.floor(cols[-1])))
-    if not inside[-1]:
+    if not _is_on(grid, stands):
         raise InputError(path, f"ends off the scoremap, at row {stands[0]}, column {stands[1]}")
-    cells = _cells(path, rows, cols)
-    on_map = ((cells >= 0) & (cells < np.array(grid.shape))).all(axis=1)
-    if grid.crs is None:
-        length_m = float(np.hypot(np.diff(rows), np.diff(cols)).sum() * scoremap.cell_size_m)
-    else:
-        length_m = float(grid.ground_length_m(rows, cols).sum()) if rows.size > 1 else 0.0
+    legs = _legs(path, log, rows, cols)
+    ways_m = grid.ground_length_m(rows, cols) * (scoremap.cell_size_m if grid.crs is None else 1.0)
+    driven = np.ones(ways_m.size, np.bool_)
+    driven[np.array(log.breaks, np.int64) - 1] = False
     blocked = [_stuck_cell(log, grid, rows, cols, index, stands) for index, event in log.events if event == "stuck"]
-    time_s = float(log.time_s[-1] - log.time_s[0])
-    return Driven(cells[on_map], stands, blocked, length_m, time_s, cells, [])
+    return Driven(
+        cells=_on_map(legs, scoremap),
+        stands=stands,
+        blocked=blocked,
+        length_m=float(ways_m[driven].sum()),
+        time_s=float(log.time_s[-1] - log.time_s[0]),
+        legs=legs,
+        notes=[],
+    )
+
+
+def _is_on(grid: Grid, cell: tuple[int, int]) -> bool:
+    return 0 <= cell[0] < grid.rows and 0 <= cell[1] < grid.cols
 
 
 def _cells(path: Path, rows: NDArray[np.float64], cols: NDArray[np.float64]) -> NDArray[np.int64]:

@@ -118,9 +118,10 @@ def plan_file(
         )
         plans = [found.together] if request.robots == 1 else plans_alone(problems, found)
     except NothingLeftError as error:
-        if not request.or_stay or request.robots > 1:
+        may_stay = request.or_stay and request.robots == 1
+        document = staying_document(scoremap, request, driven) if may_stay else None
+        if document is None:
             raise ArgumentError(f"{scoremap_path}: {error}") from error
-        document = staying_document(scoremap, request, driven)
         publish_json(output, document.model_dump(mode="json", exclude={"provenance"}), job.provenance)
         return Planned(False, document, [document], 0.0, [*notes, f"{error}: the robot stays where it is"])
     except ArgumentError as error:

@@ -26,9 +26,8 @@ _SMOOTHED_M = 20.0
 
 
 def draw_drives(
-    logs: list[Path],
+    inputs: dict[str, Path],
     output: Path,
-    world: Path | None,
     clearance_m: NDArray[np.float64],
     weight_s: NDArray[np.float64],
     view: Sequence[tuple[float, float]],
@@ -40,8 +39,8 @@ def draw_drives(
 
     Parameters
     ----------
-    logs, world : list of Path, Path or None
-        What the figures come from, for the provenance.
+    inputs : dict of str to Path
+        The files that the figures come from by role: logs, and those of the world.
     output : Path
     clearance_m, weight_s : float64 [n]
         Clearances, and the time that each stands for.
@@ -59,9 +58,6 @@ def draw_drives(
     """
     if not clearance_m.size:
         raise ArgumentError(f"{output}: there is nothing to draw without a --world")
-    inputs = {f"log/{index}": path for index, path in enumerate(logs)}
-    if world is not None and (world / "ortho.tif").is_file():
-        inputs |= {"ortho": world / "ortho.tif", "dsm": world / "dsm.tif"}
     job = begin(
         "figure-drives",
         STAGE_VERSION,
@@ -88,7 +84,9 @@ def draw_drives(
 def _histogram(axes: Axes, clearance_m: NDArray[np.float64], weight_s: NDArray[np.float64]) -> None:
     top = max(float(clearance_m.max()), _BIN_M)
     weight = weight_s / weight_s.sum() if weight_s.sum() > 0 else np.full(clearance_m.size, 1 / clearance_m.size)
-    axes.hist(clearance_m, bins=np.arange(0.0, top + _BIN_M, _BIN_M).tolist(), weights=100 * weight, color=_COLOUR)
+    axes.hist(
+        clearance_m, bins=np.arange(0.0, top + 1.5 * _BIN_M, _BIN_M).tolist(), weights=100 * weight, color=_COLOUR
+    )
     mean = float((clearance_m * weight).sum())
     axes.axvline(mean, color=_MEAN_COLOUR, lw=1.6, label=f"mean {mean:.2f} m")
     axes.set_xlabel("distance to the nearest obstacle, m")

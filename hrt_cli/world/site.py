@@ -131,8 +131,10 @@ def site_files(folder: Path) -> dict[str, Path]:
         if role not in files:
             raise InputError(folder, f"holds no {role}.tif", "a world needs ortho.tif and dsm.tif")
     if ("truth" in files) != ("world" in files):
-        has, lacks = ("truth.tif", "world.json") if "truth" in files else ("world.json", "truth.tif")
-        raise InputError(folder, f"holds {has} but no {lacks}", "the classes and their true drivability go together")
+        has, lacks = ("truth", "world.json") if "truth" in files else ("world", "truth.tif")
+        raise InputError(
+            folder, f"holds {files[has].name} but no {lacks}", "the classes and their true drivability go together"
+        )
     return files
 
 
@@ -194,9 +196,8 @@ def _picture(path: Path, pixel_m: float | None) -> tuple[Grid, float, NDArray[np
     with open_orthomosaic([path]) as image:
         source = image.raster.grid
         finest = max(source.pixel_m)
-        side = source.pixel_m[0] * source.rows * source.pixel_m[1] * source.cols
-        pixel = pixel_m or max(finest, FINEST_M, math.sqrt(side / MOST_PX))
-        pixel = max(pixel, finest)
+        area = source.pixel_m[0] * source.rows * source.pixel_m[1] * source.cols
+        pixel = max(finest, pixel_m or max(FINEST_M, math.sqrt(area / MOST_PX)))
         grid = upright(source.coarse(pixel))
         window = window_on(path, source, grid)
         colours, valid = image.read(window)

@@ -17,6 +17,9 @@ _STEEPEST = 0.45
 """Rise over run that bare ground may have between two windows."""
 _STEP_M = 0.08
 
+NO_OBSTACLE_M = 1e6
+"""Clearance where there is no obstacle at all: farther than any, and a number, so that it can be interpolated."""
+
 
 def fill(values: NDArray[Any], known: Mask) -> NDArray[Any]:
     """Fill the gaps of a picture smoothly from around them (pull-push: Gortler et al. 1996, section 3.4.2).
@@ -38,21 +41,22 @@ def fill(values: NDArray[Any], known: Mask) -> NDArray[Any]:
     cube = values.astype(np.float32)
     shaped = cube[..., None] if cube.ndim == 2 else cube
     shaped = np.where(known[..., None], shaped, np.float32(0))
-    filled = _pull_push(shaped * weight[..., None], weight)
+    filled = _pull_push(shaped, weight)
     out = np.where(known[..., None], shaped, filled).reshape(values.shape)
     return np.asarray(np.clip(np.rint(out), 0, 255) if values.dtype == np.uint8 else out).astype(values.dtype)
 
 
 def _pull_push(weighted: NDArray[np.float32], weight: NDArray[np.float32]) -> NDArray[np.float32]:
     """Return the mean where there is weight, else what coarser levels say; `weighted` [rows, cols, bands]."""
-    mean = (weighted / np.maximum(weight, np.float32(1e-6))[..., None]).astype(np.float32)
     rows, cols = weight.shape
+    # However little the weight of a lone pixel is on a coarse level, its value is not to fade.
+    mean = np.divide(weighted, weight[..., None], out=np.zeros_like(weighted), where=weight[..., None] > 0)
     if (weight > 0).all() or max(rows, cols) <= 1:
         return mean
     half = (max(1, (cols + 1) // 2), max(1, (rows + 1) // 2))
-    coarse_weight = cv2.resize(weight, half, interpolation=cv2.INTER_AREA)
-    coarse = cv2.resize(weighted, half, interpolation=cv2.INTER_AREA).reshape(half[1], half[0], -1)
-    below = _pull_push(coarse.astype(np.float32), coarse_weight.astype(np.float32))
+    coarse_weight = np.asarray(cv2.resize(weight, half, interpolation=cv2.INTER_AREA), np.float32)
+    coarse = np.asarray(cv2.resize(weighted, half, interpolation=cv2.INTER_AREA), np.float32)
+    below = _pull_push(coarse.reshape(half[1], half[0], -1), coarse_weight.reshape(half[1], half[0]))
     up = cv2.resize(below, (cols, rows), interpolation=cv2.INTER_LINEAR).reshape(rows, cols, -1)
     share = np.clip(weight, 0, 1)[..., None]
     return (share * mean + (1 - share) * up).astype(np.float32)
@@ -115,11 +119,11 @@ def slope(ground: Heights, pixel_m: float, smooth_m: float = 0.5) -> Heights:
 
 
 def clearance(obstacle: Mask, pixel_m: float) -> Heights:
-    """Return each pixel's distance to the nearest obstacle pixel's centre in metres; infinite without any.
+    """Return each pixel's distance to the nearest obstacle pixel's centre in metres; `NO_OBSTACLE_M` without any.
 
     float32 [rows, cols]; 0 on an obstacle.
     """
     if not obstacle.any():
-        return np.full(obstacle.shape, np.inf, np.float32)
+        return np.full(obstacle.shape, NO_OBSTACLE_M, np.float32)
     free = (~obstacle).astype(np.uint8)
     return np.asarray(cv2.distanceTransform(free, cv2.DIST_L2, cv2.DIST_MASK_PRECISE) * pixel_m, np.float32)

@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 from affine import Affine
+from click.testing import CliRunner
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from rasterio.crs import CRS
@@ -13,6 +14,7 @@ from hrt_cli.artifacts.scores import ClassScore
 from hrt_cli.drivability import cells
 from hrt_cli.drivability.cells import Cover, cover, score_cells
 from hrt_cli.errors import ArgumentError
+from hrt_cli.main import cli
 from hrt_cli.raster.grid import Grid
 from hrt_cli.raster.windows import Window
 
@@ -190,3 +192,42 @@ class TestScores:
         assert np.isfinite(score).all()
         score, _ = score_cells(cover_of(values, 9), scores, no_go_below=percent / 100 + 1e-6)
         assert np.isnan(score).all()
+
+
+def scored(counts: list[list[int]], means: list[float], **options: float) -> np.ndarray:
+    """Scores of a row of cells of which each class covers so many pixels out of their sum."""
+    arrays = np.array(counts, np.int32).T[:, None, :]
+    table = {k: ClassScore(alpha=100 * mean, beta=100 * (1 - mean), evidence_m=0.0) for k, mean in enumerate(means)}
+    covered = Cover(arrays, float(arrays.sum(axis=0).max()), pixels(1, arrays.shape[2]))
+    return score_cells(covered, table, **options)[0][0]
+
+
+def test_a_cell_may_hold_only_so_much_of_what_is_no_go() -> None:
+    counts = [[100, 0], [90, 10], [80, 20], [70, 30], [0, 100]]
+    plain = scored(counts, [0.9, 0.1], no_go_below=0.3)
+    np.testing.assert_array_equal(np.isnan(plain), [False, False, False, False, True])
+    strict = scored(counts, [0.9, 0.1], no_go_below=0.3, no_go_share=0.2)
+    np.testing.assert_array_equal(np.isnan(strict), [False, False, False, True, True])
+    np.testing.assert_array_equal(strict[:3], plain[:3])
+    none = scored(counts, [0.9, 0.1], no_go_below=0.3, no_go_share=0.0)
+    np.testing.assert_array_equal(np.isnan(none), [False, True, True, True, True])
+
+
+def test_several_classes_below_the_limit_count_together_and_one_at_it_does_not() -> None:
+    counts = [[80, 10, 10, 0], [80, 0, 10, 10]]
+    found = scored(counts, [0.9, 0.1, 0.2, 0.3], no_go_below=0.3, no_go_share=0.15)
+    np.testing.assert_array_equal(np.isnan(found), [True, False])
+
+
+def test_a_share_says_nothing_without_a_limit_and_exploration_opens_no_cell() -> None:
+    counts = [[50, 50]]
+    assert np.isfinite(scored(counts, [0.9, 0.0], no_go_share=0.0)).all()
+    assert np.isnan(scored(counts, [0.9, 0.1], no_go_below=0.3, no_go_share=0.4, explore=50.0)).all()
+
+
+@pytest.mark.parametrize("share", ["0.2", "0"])
+def test_the_command_refuses_a_share_without_a_limit(tmp_path, share: str) -> None:
+    words = ["scoremap", str(tmp_path / "c.tif"), "-o", str(tmp_path / "s.tif"), "--no-go-share", share]
+    done = CliRunner().invoke(cli, words)
+    assert done.exit_code == 2
+    assert "--no-go-share says how much of a cell --no-go-below may hold for: give both" in done.stderr
