@@ -26,7 +26,6 @@ Example:
 @click.option(
     "--world",
     type=opt.PATH,
-    required=True,
     help="Folder of the site: ortho.tif, dsm.tif and, where the truth is known, truth.tif and world.json.",
 )
 @opt.output_opt
@@ -52,18 +51,22 @@ Example:
     type=opt.FiniteFloat(0, low_open=True),
     help="End after so many seconds. Default: the plan's budget where that is in minutes.",
 )
+@click.option(
+    "--stay", is_flag=True, help="Do not drive: log that the robot stays where it is. Takes no --world, only --after."
+)
 @opt.seed_opt
 @opt.existing_options
 @opt.console_options
 def drive(
     plan: Path,
-    world: Path,
+    world: Path | None,
     output: Path,
     local: str,
     vehicle: str | None,
     after: Path | None,
     record: Path | None,
     time_limit_s: float | None,
+    stay: bool,
     seed: int,
     existing: Existing,
     console: Console,
@@ -72,13 +75,18 @@ def drive(
 
     The drive ends at the plan's end, when the robot is stuck, or when its time is over.
     """
-    from hrt_cli.driving.stage import DriveRequest, drive_file
+    if stay == (world is not None):
+        raise click.UsageError("give the --world that the robot drives on, or say --stay: one of the two")
+    from hrt_cli.driving.stage import DriveRequest, drive_file, stay_file
 
-    request = DriveRequest(local=local, vehicle=vehicle, time_limit_s=time_limit_s, seed=seed)
-    with console.bar("drive") as progress:
-        done = drive_file(
-            plan, world, output, request, after=after, record=record, existing=existing, progress=progress
-        )
+    if world is None:
+        done = stay_file(plan, output, after=after, existing=existing)
+    else:
+        request = DriveRequest(local=local, vehicle=vehicle, time_limit_s=time_limit_s, seed=seed)
+        with console.bar("drive") as progress:
+            done = drive_file(
+                plan, world, output, request, after=after, record=record, existing=existing, progress=progress
+            )
     for note in done.notes:
         console.note(f"Note: {note}")
     state = " (up to date)" if done.up_to_date else ""

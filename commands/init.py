@@ -22,7 +22,7 @@ Example:
 @opt.existing_options
 @opt.console_options
 def init(folder: Path, existing: Existing, console: Console) -> None:
-    """Make a project FOLDER with the workflow (Makefile and Snakefile) and its config.yaml."""
+    """Make a project FOLDER with the workflows (make and snakemake) and their config.yaml."""
     from hrt_cli.project import create_project
 
     written = create_project(folder, existing=existing)

@@ -33,7 +33,7 @@ COMMANDS = {
     "synth": ("hrt_commands.synth:synth", "Make a sample site in FOLDER that looks like an aerial photograph."),
     "init": (
         "hrt_commands.init:init",
-        "Make a project FOLDER with the workflow (Makefile and Snakefile) and its config.yaml.",
+        "Make a project FOLDER with the workflows (make and snakemake) and their config.yaml.",
     ),
     "segment": ("hrt_commands.segment:segment", "Segment an orthomosaic into texture classes."),
     "feedback": ("hrt_commands.feedback:feedback", "Learn from drives how drivable each class is."),

@@ -28,8 +28,8 @@ _ARRIVED_M = 0.4
 
 PATIENCE_S, _LEAST_M = 10.0, 0.5
 """A robot that was told to drive for so long and got on by less than `_LEAST_M` is stuck (Nav2's progress checker)."""
-_FUTILE_S = 60.0
-"""So is one that came no farther along its course for so long."""
+_FUTILE_S, _FUTILE_M = 90.0, 2.0
+"""So is one that has not got away from a place by `_FUTILE_M` for so long: it goes round in circles."""
 
 _SLIP_SD, _SLIP_S = 0.08, 1.0
 """Spread of the speed about what the ground allows, and how long a deviation lasts."""
@@ -133,22 +133,23 @@ class _Chance:
 
 
 class _Stall:
-    """Tells when a robot that is told to drive does not."""
+    """Tells when a robot that is told to drive does not, or gets nowhere."""
 
     def __init__(self) -> None:
         self._recent: deque[float] = deque()
-        self._best_m, self._best_s = -math.inf, 0.0
+        self._anchor, self._since_s = (math.inf, math.inf), 0.0
 
-    def is_stuck(self, time_s: float, commanded_m_s: float, achieved_m_s: float, along_m: float) -> bool:
-        if along_m > self._best_m + 0.05:
-            self._best_m, self._best_s = along_m, time_s
+    def is_stuck(self, time_s: float, commanded_m_s: float, state: State) -> bool:
+        east, south = float(state[EAST]), float(state[SOUTH])
+        if math.hypot(east - self._anchor[0], south - self._anchor[1]) > _FUTILE_M:
+            self._anchor, self._since_s = (east, south), time_s
         if commanded_m_s > 0.05:
-            self._recent.append(achieved_m_s)
+            self._recent.append(float(state[SPEED]))
             while len(self._recent) > PATIENCE_S / CONTROL_S:
                 self._recent.popleft()
         whole = len(self._recent) >= PATIENCE_S / CONTROL_S
         gone_m = CONTROL_S * sum(self._recent)
-        return (whole and gone_m < _LEAST_M) or time_s - self._best_s > _FUTILE_S
+        return (whole and gone_m < _LEAST_M) or time_s - self._since_s > _FUTILE_S
 
 
 def simulate(setting: Setting, local: LocalPlanner, *, watch: Watch = unwatched, progress: Progress = silent) -> Drive:
@@ -180,7 +181,7 @@ def simulate(setting: Setting, local: LocalPlanner, *, watch: Watch = unwatched,
         time_s = tick * CONTROL_S
         new = met if met != touching else motion.FREE
         touching = met
-        stuck = stall.is_stuck(time_s, commanded, float(state[SPEED]), local.along_m)
+        stuck = stall.is_stuck(time_s, commanded, state)
         if new != motion.FREE or stuck or tick % _LOG_EVERY == 0:
             records.append(chance.record(time_s, state, commanded))
         if new != motion.FREE:

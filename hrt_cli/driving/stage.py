@@ -115,6 +115,7 @@ def drive_file(
     OutputError
         See `hrt_cli.artifacts.stage.begin`.
     """
+    _check_name(output)
     files = site_files(world)
     inputs = {"plan": plan_path, **files} | ({"after": after} if after else {})
     parameters: dict[str, Any] = {
@@ -128,8 +129,6 @@ def drive_file(
         outputs[record / ABOUT] = json_provenance
         parameters["record"] = True
         record.mkdir(parents=True, exist_ok=True)
-    if output.suffix.lower() != ".jsonl":
-        raise ArgumentError(f"{output}: a drive log is written as .jsonl")
     job = begin(STAGE, STAGE_VERSION, inputs=inputs, parameters=parameters, outputs=outputs, existing=existing)
     plan = read_plan(plan_path)
     notes: list[str] = []
@@ -158,6 +157,45 @@ def drive_file(
             recorder.finish(f"{output.stem}-{request.seed}", job.provenance)
         publish_drive_log(output, header, _records(drive, site, vehicle), job.provenance)
     return _summary(output, job.up_to_date, notes)
+
+
+def stay_file(plan_path: Path, output: Path, *, after: Path | None = None, existing: Existing = REFUSE) -> DriveSummary:
+    """Write the log of a robot that does not drive its plan: one record, where it stands.
+
+    Parameters
+    ----------
+    plan_path, output : Path
+        The plan of one robot, and the log (`.jsonl`).
+    after : Path, optional
+        Log of the drive before: the robot stands where that ended. Else it stands at the plan's start.
+
+    Raises
+    ------
+    InputError
+        The plan or the log before cannot be used.
+    OutputError
+        See `hrt_cli.artifacts.stage.begin`.
+    """
+    _check_name(output)
+    inputs = {"plan": plan_path} | ({"after": after} if after else {})
+    outputs: dict[Path, ReadProvenance] = {output: drive_provenance}
+    job = begin(STAGE, STAGE_VERSION, inputs=inputs, parameters={"stay": True}, outputs=outputs, existing=existing)
+    if not job.up_to_date:
+        plan = read_plan(plan_path)
+        place, names, crs, robot = plan.xy[0], ("x", "y"), plan.grid.crs, None
+        if after is not None:
+            log = read_drive_log(after)
+            place, robot = (float(log.place[-1, 0]), float(log.place[-1, 1])), log.robot
+            names, crs = (("lon", "lat"), None) if log.geographic else (("x", "y"), log.crs)
+        header = Header(format="hrt-drive-log", crs=crs, robot=robot, end="arrived")
+        record = {"t": 0.0, **dict(zip(names, place, strict=True)), "speed_m_s": 0.0, "commanded_m_s": 0.0}
+        publish_drive_log(output, header, [record], job.provenance)
+    return _summary(output, job.up_to_date, [])
+
+
+def _check_name(output: Path) -> None:
+    if output.suffix.lower() != ".jsonl":
+        raise ArgumentError(f"{output}: a drive log is written as .jsonl")
 
 
 def local_planner(name: str, setting: Setting) -> LocalPlanner:

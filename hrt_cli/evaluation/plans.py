@@ -189,8 +189,9 @@ def _read_one(path: Path, scoremap_path: Path, scoremap: Scoremap) -> PlanDocume
         None if plan.grid.crs is None else CRS.from_user_input(plan.grid.crs),
     )
     require_same_grid(path, grid, scoremap_path, scoremap.grid)
+    left_in = {plan.start} & set(plan.collected)
     for row, col in plan.cells:
-        if np.isnan(scoremap.score[row, col]):
+        if np.isnan(scoremap.score[row, col]) and (row, col) not in left_in:
             raise InputError(path, f"enters cell {row},{col}, which is no-go on {scoremap_path}")
     return plan
 
@@ -206,7 +207,8 @@ def _shared(plan: PlanDocument) -> tuple[object, ...]:
 
 
 def _problems(scoremap: Scoremap, team: Sequence[PlanDocument]) -> list[Problem]:
-    score = mark_driven(scoremap.score, team[0].collected, team[0].blocked)
+    stands = [plan.start for plan in team if plan.start in plan.collected]
+    score = mark_driven(scoremap.score, team[0].collected, team[0].blocked, stands)
     return [
         Problem(
             score,

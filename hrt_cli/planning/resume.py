@@ -63,15 +63,23 @@ class Driven:
 
 
 def mark_driven(
-    score: NDArray[np.floating], collected: Iterable[tuple[int, int]], blocked: Iterable[tuple[int, int]]
+    score: NDArray[np.floating],
+    collected: Iterable[tuple[int, int]],
+    blocked: Iterable[tuple[int, int]],
+    stands: Iterable[tuple[int, int]],
 ) -> NDArray[np.floating]:
-    """Return scores [rows, cols] on which cells that were collected pay nothing and blocked ones are no-go."""
+    """Return scores [rows, cols] on which cells that were collected pay nothing and blocked ones are no-go.
+
+    Where an earlier drive left a robot it stands, whatever the ground, and may leave.
+    """
     marked = score.copy()
     for cell in collected:
         if not np.isnan(marked[cell]):
             marked[cell] = 0.0
     for cell in blocked:
         marked[cell] = np.nan
+    for cell in stands:
+        marked[cell] = np.nan_to_num(marked[cell])
     return marked
 
 
@@ -79,13 +87,12 @@ def read_drives(paths: Sequence[Path], scoremap: Scoremap) -> Driven:
     """Read the logs of one robot's successive drives and lay them on the cells of a scoremap, as one drive.
 
     What lies between two drives is left out. Where the last one ends in a cell that is no-go by now, the robot is
-    taken to go back on its own track to the last cell that may be entered.
+    taken to go back on its own track to the last cell that may be entered; if there is none it stands where it ended.
 
     Raises
     ------
     InputError
-        A log cannot be read, its places cannot be laid on the map, it lies or ends off the map, or the robot stands on
-        no-go ground and never was on other.
+        A log cannot be read, its places cannot be laid on the map, or it lies or ends off the map.
     """
     drives = [_laid(path, scoremap) for path in paths]
     cells = np.concatenate([each.cells for each in drives])
@@ -93,15 +100,13 @@ def read_drives(paths: Sequence[Path], scoremap: Scoremap) -> Driven:
     stands, notes = drives[-1].stands, []
     if np.isnan(scoremap.score[stands]):
         go = cells[~np.isnan(scoremap.score[cells[:, 0], cells[:, 1]])]
-        if not len(go):
-            raise InputError(
-                paths[-1], f"ends in cell {stands[0]},{stands[1]}, which is no-go", "give the start with --start"
-            )
-        ended, stands = stands, (int(go[-1, 0]), int(go[-1, 1]))
-        notes = [
-            f"{paths[-1]}: ends in cell {ended[0]},{ended[1]}, which is no-go: the robot has to go back to "
-            f"{stands[0]},{stands[1]}, where the plan starts"
-        ]
+        ended = stands
+        if len(go):
+            stands = (int(go[-1, 0]), int(go[-1, 1]))
+            way_off = f"has to go back to {stands[0]},{stands[1]}, where the plan starts"
+        else:
+            way_off = "has been on no other ground, and the plan starts there"
+        notes = [f"{paths[-1]}: ends in cell {ended[0]},{ended[1]}, which is no-go: the robot {way_off}"]
     return Driven(
         cells=cells,
         stands=stands,

@@ -161,7 +161,8 @@ def _problems(
     """Return the problem of each robot, and the cells that pay nothing and that are blocked for earlier drives."""
     collected = sorted({(int(row), int(col)) for each in driven for row, col in each.cells})
     blocked = sorted({cell for each in driven for cell in each.blocked})
-    score = mark_driven(scoremap.score, collected, blocked)
+    stands = [] if request.starts else [each.stands for each in driven]
+    score = mark_driven(scoremap.score, collected, blocked, stands)
     problems = []
     for robot in range(request.robots):
         before = driven[robot if len(driven) > 1 else 0] if driven else None

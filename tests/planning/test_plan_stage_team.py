@@ -128,6 +128,21 @@ def test_a_robot_still_stuck_turns_away_from_what_stopped_it(scoremap: Path, tmp
     assert (5, 5) not in document.cells
 
 
+def test_a_robot_that_knew_no_other_ground_may_leave_the_no_go_cell_that_it_stands_in(tmp_path: Path) -> None:
+    score = SCORE.copy()
+    score[5, 2:5] = np.nan
+    scoremap = tmp_path / "s.npz"
+    np.savez(scoremap, score=score, cell_size_m=np.float64(2.0))
+    plan = tmp_path / "p.json"
+    run("plan", scoremap, "-o", plan, "--budget", 20, "--visited", log_of(tmp_path / "a.jsonl", [(5, 2), (5, 3)]))
+    document = read_plan(plan)
+    assert document.start == (5, 3)
+    assert document.steps == 19
+    assert not {(5, 2), (5, 3), (5, 4)} & set(document.cells[1:])
+    valued = hrt("evaluate", "plan", scoremap, plan, "--no-planner", "--json")
+    assert json.loads(valued.stdout)["plans"][str(plan)]["score"] == pytest.approx(document.score)
+
+
 def test_drives_of_a_team(scoremap: Path, tmp_path: Path) -> None:
     logs = [log_of(tmp_path / "a.jsonl", [(0, 0), (0, 1)]), log_of(tmp_path / "b.jsonl", [(9, 9), (9, 8), (9, 7)])]
     said = run("plan", scoremap, "-o", tmp_path / "t.json", "--budget", 20, "--robots", 2,
