@@ -42,7 +42,7 @@ from hrt_cli.world.site import Site, load_site
 from hrt_cli.world.stage import synthesize
 from hrt_cli.world.synth import SiteSpec
 
-COURSE_M = 1000.0
+COURSE_M = 1100.0
 ROOM_M = 0.6
 """Least clearance of the ground that courses lead to, and over which all of it can be reached."""
 SPEED_M_S = 1.0
@@ -62,7 +62,9 @@ def sample_sites() -> Iterator[list[Path]]:
 def course_on(site: Site, seed: int) -> Course:
     """Return straight legs between random places that can be reached from one another, `COURSE_M` in all."""
     free = site.seen & ndimage.binary_erosion(site.seen, iterations=math.ceil(ROOM_M / site.pixel_m))
-    if not site.under_water:
+    if site.under_water:
+        free &= site.surface_m < -2.0
+    else:
         free &= (site.clearance_m > ROOM_M) & (site.speed_factor > 0.3)
     pieces, _ = ndimage.label(free)
     largest = 1 + int(np.argmax(np.bincount(pieces.ravel())[1:]))
@@ -91,17 +93,19 @@ def distance_m(drive: Drive) -> float:
 
 
 def courses(folders: list[Path], seeds: int) -> None:
-    print(f"{'site':<18}{'seed':>5}  {'who':<9}{'end':<12}{'driven':>9}{'of course':>11}{'collisions':>11}")
+    print(
+        f"{'site':<18}{'seed':>5}  {'who':<9}{'end':<12}{'driven':>9}{'of course':>11}{'collisions':>11}{'off the survey':>16}"
+    )
     for folder in folders:
         site = load_site(folder)
         for seed in range(seeds):
             course = course_on(site, seed)
             for local in ("expert", "pursuit"):
                 drive, _ = drive_course(site, course, local, seed)
-                hits = sum(event == "collision" for _, event in drive.events)
+                hits, off = (sum(each == kind for _, each in drive.events) for kind in ("collision", "intervention"))
                 print(
                     f"{folder.name:<18}{seed:>5}  {local:<9}{drive.end:<12}{distance_m(drive):>7.0f} m"
-                    f"{drive.along_m / course.length_m:>11.0%}{hits:>11}"
+                    f"{drive.along_m / course.length_m:>11.0%}{hits:>11}{off:>16}"
                 )
 
 
@@ -153,7 +157,7 @@ def wall_site(folder: Path, seed: int) -> tuple[tuple[float, float], tuple[float
 
 
 def behind_wall(seed: int) -> tuple[int, bool, float]:
-    """Let a robot that knows nothing go to the other side; return its legs, whether it came, and how far off it ended."""
+    """Let a robot that knows nothing go to the other side; return its legs, whether it came, and how far off it is."""
     with tempfile.TemporaryDirectory() as name:
         site = Path(name) / "site"
         start, goal = wall_site(site, seed)
@@ -167,7 +171,7 @@ def behind_wall(seed: int) -> tuple[int, bool, float]:
             request = PlanRequest(
                 starts=() if logs else (parse_start(f"xy:{start[0]},{start[1]}"),),
                 ends=(parse_start(f"xy:{goal[0]},{goal[1]}", "--end"),),
-                budget=Spending(15.0, "min"),
+                budget=Spending(500.0, "m"),
                 effort=0.2,
                 seed=seed,
             )

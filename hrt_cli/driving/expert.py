@@ -7,8 +7,8 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from hrt_cli.driving.course import Carrot, Course
-from hrt_cli.driving.field import CostMap, cost_map, follow, is_clear, ways_to
+from hrt_cli.driving.course import Course
+from hrt_cli.driving.field import CostMap, cost_map, follow, is_clear, water_map, ways_to
 from hrt_cli.driving.local import Command, Pose, steer_to
 from hrt_cli.driving.motion import sample
 from hrt_cli.driving.vehicle import Vehicle
@@ -24,6 +24,11 @@ _REACH_CELLS = (5, 4, 3, 2, 1)
 
 _AHEAD_M = (0.3, 0.6, 1.0, 1.5, 2.0, 2.6, 3.2, 4.0)
 """How far ahead over the bottom an AUV looks."""
+_BESIDE_M = (0.5, 0.9)
+_TURNS = tuple(k * math.pi / 6 for k in range(12))
+"""How far to every side, and in which directions: it may have to turn there."""
+_SHARE_BESIDE = 0.7
+"""Share of its altitude that it keeps over what lies on any side."""
 _SLOWEST = 0.45
 """Share of its speed that an AUV keeps: enough to make way against a current."""
 _SLOPE_IS_STEEP = 0.8
@@ -42,11 +47,15 @@ class GroundExpert:
 
     def __init__(self, site: Site, course: Course, vehicle: Vehicle) -> None:
         self._course = course
-        self._map: CostMap = cost_map(site, vehicle.radius_m)
+        self._map: CostMap = self._costs(site, vehicle)
         self._to_go = np.full(self._map.cost.shape, np.inf, np.float32)
         self._target: tuple[float, float] | None = None
         self._target_m = 0.0
         self.along_m = 0.0
+
+    @staticmethod
+    def _costs(site: Site, vehicle: Vehicle) -> CostMap:
+        return cost_map(site, vehicle.radius_m)
 
     def decide(self, pose: Pose) -> Command | None:
         """See `LocalPlanner`."""
@@ -104,39 +113,43 @@ class GroundExpert:
         return self._target
 
 
-class WaterExpert:
-    """Follow the course at `altitude_m` over the bottom, climbing early enough for what rises ahead."""
+class WaterExpert(GroundExpert):
+    """Go along the course likewise, round what is too shallow, at `altitude_m` over the bottom.
 
-    name = "expert"
-    sees_truth = True
+    It climbs early enough for what rises ahead, and slows down where it cannot.
+    """
 
     def __init__(self, site: Site, course: Course, vehicle: Vehicle) -> None:
+        super().__init__(site, course, vehicle)
         self._site, self._vehicle = site, vehicle
-        self._carrot = Carrot(course, vehicle.lookahead_m)
 
-    @property
-    def along_m(self) -> float:
-        """See `LocalPlanner`."""
-        return self._carrot.along_m
+    @staticmethod
+    def _costs(site: Site, vehicle: Vehicle) -> CostMap:
+        return water_map(site, vehicle.radius_m)
 
     def decide(self, pose: Pose) -> Command | None:
         """See `LocalPlanner`."""
-        aim = self._carrot.aim(pose.east_m, pose.south_m)
-        climb = self.climb_rad(pose)
-        limit = self._vehicle.pitch_limit_rad
-        command = steer_to(pose, *aim, pitch=max(-1.0, min(1.0, climb / limit)))
-        steep = max(0.0, climb / limit - _SLOPE_IS_STEEP) / (1.0 - _SLOPE_IS_STEEP)
-        return Command(command.yaw, command.pitch, command.speed * max(_SLOWEST, 1.0 - steep))
+        command = super().decide(pose)
+        if command is None:
+            return None
+        climb, limit = self.climb_rad(pose), self._vehicle.pitch_limit_rad
+        steep = min(1.0, max(0.0, climb / limit - _SLOPE_IS_STEEP) / (1.0 - _SLOPE_IS_STEEP))
+        speed = command.speed * max(_SLOWEST, 1.0 - steep)
+        return Command(command.yaw, max(-1.0, min(1.0, climb / limit)), speed)
 
     def climb_rad(self, pose: Pose) -> float:
-        """Return the pitch that keeps the altitude over the highest of what lies ahead."""
+        """Return the pitch that keeps the altitude over what lies ahead, and clear of what lies on any side."""
         clear = self._vehicle.altitude_m
         east, south = math.sin(pose.heading_rad), -math.cos(pose.heading_rad)
         steepest = -math.inf
         for ahead in _AHEAD_M:
             for aside in (-0.4, 0.0, 0.4):
-                x = pose.east_m + ahead * east - aside * south
-                y = pose.south_m + ahead * south + aside * east
-                top = sample(self._site.surface_m, self._site.pixel_m, x, y)
+                top = self._top(pose, ahead * east - aside * south, ahead * south + aside * east)
                 steepest = max(steepest, math.atan2(top + clear - pose.height_m, ahead + 0.5))
-        return steepest
+        beside = max(self._top(pose, r * math.sin(turn), r * math.cos(turn)) for r in _BESIDE_M for turn in _TURNS)
+        return max(steepest, math.atan2(beside + _SHARE_BESIDE * clear - pose.height_m, max(_BESIDE_M)))
+
+    def _top(self, pose: Pose, east_m: float, south_m: float) -> float:
+        """Return the height of the bottom beside a pose."""
+        site = self._site
+        return float(sample(site.surface_m, site.pixel_m, pose.east_m + east_m, pose.south_m + south_m))

@@ -13,6 +13,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from hrt_cli.world.site import Site
+from hrt_cli.world.terrain import clearance
 
 kernel: Any = njit(cache=True, nogil=True)
 
@@ -22,6 +23,8 @@ _SLOWEST = 0.08
 _COMFORT_M = 0.8
 """Nearer to an obstacle than its radius and this, a robot pays for it: up to `_FEAR` times the way."""
 _FEAR = 6.0
+_SPARE_DEPTH_M = 0.4
+"""Water over an AUV's own height that it wants."""
 
 
 @dataclass(frozen=True)
@@ -49,6 +52,16 @@ class CostMap:
 
 def cost_map(site: Site, radius_m: float) -> CostMap:
     """Return the cost of driving on a site for a robot that knows all of it."""
+    return _costs(site, radius_m, site.clearance_m, site.speed_factor)
+
+
+def water_map(site: Site, radius_m: float) -> CostMap:
+    """Return the cost of swimming over a site: the same everywhere but where it is too shallow for the robot."""
+    shallow = site.surface_m > -(2.0 * radius_m + _SPARE_DEPTH_M)
+    return _costs(site, radius_m, clearance(shallow, site.pixel_m), np.ones_like(site.speed_factor))
+
+
+def _costs(site: Site, radius_m: float, clearance_m: NDArray[np.float32], factor: NDArray[np.float32]) -> CostMap:
     step = max(1, round(CELL_M / site.pixel_m))
     rows, cols = -(-site.grid.rows // step), -(-site.grid.cols // step)
     pad = ((0, rows * step - site.grid.rows), (0, cols * step - site.grid.cols))
@@ -57,8 +70,8 @@ def cost_map(site: Site, radius_m: float) -> CostMap:
         padded = np.pad(layer.astype(np.float32), pad, constant_values=fill)
         return padded.reshape(rows, step, cols, step)
 
-    room = blocks(np.minimum(site.clearance_m, 99.0), 0.0).min(axis=(1, 3))
-    speed = blocks(site.speed_factor, 0.0).mean(axis=(1, 3))
+    room = blocks(np.minimum(clearance_m, 99.0), 0.0).min(axis=(1, 3))
+    speed = blocks(factor, 0.0).mean(axis=(1, 3))
     rim = blocks(rim_distance(site), 0.0).min(axis=(1, 3))
     spare = np.minimum(room, rim) - radius_m
     near = np.clip(1.0 - spare / _COMFORT_M, 0.0, 1.0)
