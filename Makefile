@@ -1,5 +1,6 @@
 # `make demo` does everything from nothing: environment, install, a sample site, the flow, the pictures.
-# `make test` runs the tests. Both install what they need into $(VENV) first.
+# `make missions` lets a simulated robot drive two sample missions; `make test` runs the tests. All install what they need
+# into $(VENV) first.
 
 PYTHON ?= python3
 VENV ?= .venv
@@ -7,7 +8,7 @@ BIN := $(VENV)/bin
 DEMO ?= demo
 
 .DELETE_ON_ERROR:
-.PHONY: demo test lint install lock policy fixtures golden clean
+.PHONY: demo missions test lint install lock policy fixtures golden clean
 
 install: $(VENV)/.installed
 
@@ -23,6 +24,10 @@ $(VENV)/.installed: requirements.lock pyproject.toml
 
 demo: $(VENV)/.installed
 	@PATH="$(abspath $(BIN)):$$PATH" DEMO="$(DEMO)" sh pipelines/demo.sh
+
+# Two missions of a simulated robot from survey to figures: hot spots on burnt ground, and the coral of a reef.
+missions: $(VENV)/.installed
+	@for mission in wildfire reef; do PATH="$(abspath $(BIN)):$$PATH" sh pipelines/missions.sh $$mission || exit 1; done
 
 test: $(VENV)/.installed
 	$(BIN)/python -m pytest -n 2
@@ -56,4 +61,4 @@ golden: $(VENV)/.installed
 	$(BIN)/python tests/flow/golden.py --write
 
 clean:
-	rm -rf $(DEMO) build dist *.egg-info
+	rm -rf $(DEMO) missions build dist *.egg-info

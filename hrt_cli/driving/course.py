@@ -11,6 +11,11 @@ from numpy.typing import NDArray
 kernel: Any = njit(cache=True, nogil=True)
 
 
+_TURNS_BACK = -0.5
+"""Cosine of the turn from which on a corner counts as the tip of a dead end."""
+_THERE_M = 0.3
+
+
 class Course:
     """A line through places.
 
@@ -23,7 +28,10 @@ class Course:
     def __init__(self, points: NDArray[np.float64]) -> None:
         kept = np.append(True, np.hypot(*np.diff(points, axis=0).T) > 1e-6)
         self.points = np.ascontiguousarray(points[kept], np.float64)
-        self.along_m = np.append(0.0, np.cumsum(np.hypot(*np.diff(self.points, axis=0).T)))
+        legs = np.diff(self.points, axis=0)
+        self.along_m = np.append(0.0, np.cumsum(np.hypot(*legs.T)))
+        turns = (legs[:-1] * legs[1:]).sum(axis=1) / (np.hypot(*legs[:-1].T) * np.hypot(*legs[1:].T))
+        self._tips_m = self.along_m[1:-1][turns < _TURNS_BACK]
 
     @property
     def length_m(self) -> float:
@@ -36,6 +44,16 @@ class Course:
             float(np.interp(along_m, self.along_m, self.points[:, 0])),
             float(np.interp(along_m, self.along_m, self.points[:, 1])),
         )
+
+    def ahead(self, along_m: float, ahead_m: float) -> float:
+        """Return where a robot at `along_m` looks: `ahead_m` farther along, but not round the tip of a dead end."""
+        next_tip = int(np.searchsorted(self._tips_m, along_m + 1e-6))
+        tip = float(self._tips_m[next_tip]) if next_tip < len(self._tips_m) else self.length_m
+        return min(along_m + ahead_m, tip, self.length_m)
+
+    def is_tip(self, along_m: float) -> bool:
+        """Whether the course turns back there."""
+        return bool(np.any(np.abs(self._tips_m - along_m) < 1e-6))
 
     def progress(self, along_m: float, east_m: float, south_m: float) -> float:
         """Return how far along the robot is that was at `along_m`: on while the line comes nearer to it.
@@ -63,14 +81,14 @@ class Carrot:
         """Return where to aim from a place."""
         self.along_m = self._course.progress(self.along_m, east_m, south_m)
         while True:
-            aim = self._course.point(self.along_m + self._ahead_m)
-            # At the tip of a way there and back the robot may stand on the point it aims at: then it has been there.
+            at = self._course.ahead(self.along_m, self._ahead_m)
+            aim = self._course.point(at)
+            # A robot that stands on the point it aims at has been there.
             if self.along_m >= self._course.length_m or np.hypot(aim[0] - east_m, aim[1] - south_m) > _THERE_M:
                 return aim
-            self.along_m = min(self.along_m + self._ahead_m, self._course.length_m)
+            self.along_m = at
 
 
-_THERE_M = 0.3
 _STEP_M = 0.05
 _DIP_M = 0.4
 """How far the search looks beyond a place where the line comes no nearer (a corner)."""

@@ -14,9 +14,9 @@ from hrt_cli.driving.motion import sample
 from hrt_cli.driving.vehicle import Vehicle
 from hrt_cli.world.site import Site
 
-_TARGET_M = 3.0
+_TARGET_M = 1.3
 """How far ahead on the course the expert looks for its next place."""
-_REACHED_M = 0.5
+_REACHED_M = 0.35
 _LONGEST_DETOUR_S = 150.0
 """Cost, in seconds at 1 m/s, beyond which it leaves a place out and goes for a later one."""
 _REACH_CELLS = (5, 4, 3, 2, 1)
@@ -61,7 +61,8 @@ class GroundExpert:
         """See `LocalPlanner`."""
         if self._target is not None:
             left = math.hypot(self._target[0] - pose.east_m, self._target[1] - pose.south_m)
-            if left < _REACHED_M or (left < _TARGET_M / 2 and self._target_m < self._course.length_m):
+            exact = self._target_m >= self._course.length_m or self._course.is_tip(self._target_m)
+            if left < (_REACHED_M if exact else _TARGET_M / 2):
                 self.along_m = self._target_m
                 self._target = None
         here = self._map.cell(pose.east_m, pose.south_m)
@@ -72,7 +73,7 @@ class GroundExpert:
     def _choose(self, pose: Pose) -> bool:
         """Take the next place on the course that can be reached, or say that there is none."""
         end = self._course.length_m
-        at = min(self.along_m + _TARGET_M, end)
+        at = self._course.ahead(self.along_m, _TARGET_M)
         reach = None
         while True:
             place = self._course.point(at)
