@@ -63,9 +63,9 @@ Example:
 @click.option(
     "--event-weight",
     type=opt.FiniteFloat(0),
-    default=10.0,
+    default=5.0,
     show_default=True,
-    help="Metres without progress that a collision or a standstill counts for.",
+    help="Metres without progress that a collision or a standstill counts for, however long it lasts.",
 )
 @_positive("--robot-radius", 0.35, "Radius of the robot, m, where a log does not tell it.")
 @_positive("--gap", 10.0, "Records farther apart, s, have no drive between them.")
@@ -95,7 +95,7 @@ def feedback(
 
     LOGS are drives (JSON lines, CSV or GPX) over the ground of --classes. The speed that was achieved of what was
     commanded is evidence for the classes under the robot; a collision or a standstill is evidence against what lies
-    ahead of it. The output is a score table for `hrt scoremap`.
+    ahead of it, once a square metre of ground over all LOGS. The output is a score table for `hrt scoremap`.
     """
     from hrt_cli.drivability.feedback import FeedbackSettings
     from hrt_cli.drivability.feedback_stage import learn_scores

@@ -45,6 +45,12 @@ Example:
     type=opt.FiniteFloat(0, 1),
     help="With --no-go-below: no-go are also cells of which classes that score less cover more than this share.",
 )
+@click.option(
+    "--margin",
+    "margin_m",
+    type=opt.FiniteFloat(0),
+    help="With --no-go-below: no-go are also cells so near to such cells, m; the borders of classes are not sharp.",
+)
 @click.option("--interest", "interest_path", type=opt.PATH, help="Raster of what the mission looks for, as heat.")
 @click.option(
     "--interest-range",
@@ -71,6 +77,7 @@ def scoremap(
     explore: float,
     no_go_below: float | None,
     no_go_share: float | None,
+    margin_m: float | None,
     interest_path: Path | None,
     interest_range: tuple[float, float] | None,
     interest_cell: Literal["max", "mean"] | None,
@@ -97,6 +104,8 @@ def scoremap(
 
     if no_go_share is not None and no_go_below is None:
         raise click.UsageError("--no-go-share says how much of a cell --no-go-below may hold for: give both")
+    if margin_m is not None and no_go_below is None:
+        raise click.UsageError("--margin keeps away from what --no-go-below bars: give both")
     interest = None
     if interest_path is not None:
         weight = 1.0 if interest_weight is None else interest_weight
@@ -111,6 +120,7 @@ def scoremap(
             explore=explore,
             no_go_below=no_go_below,
             no_go_share=1.0 if no_go_share is None else no_go_share,
+            margin_m=margin_m or 0.0,
             interest=interest,
             creation=dict(creation),
             existing=existing,

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import ndimage
 
 from hrt_cli.artifacts.scores import ClassScore
 from hrt_cli.errors import ArgumentError
@@ -98,6 +100,7 @@ def score_cells(
     explore: float = 0.0,
     no_go_below: float | None = None,
     no_go_share: float = 1.0,
+    margin_m: float = 0.0,
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Return the expected score of each cell and its standard deviation.
 
@@ -109,7 +112,8 @@ def score_cells(
     -------
     score, sd : float32 [rows, cols]
         NaN where less than half of the cell has a class; where the expected score (before exploration) is below
-        `no_go_below`; or where classes whose expected score is cover more than `no_go_share` of the cell.
+        `no_go_below`; where classes whose expected score is cover more than `no_go_share` of the cell; or where the
+        centre of such a cell is at most `margin_m` away.
     """
     total = covered.counts.sum(axis=0, dtype=np.int64)
     score = np.zeros(covered.grid.shape)
@@ -123,12 +127,21 @@ def score_cells(
             barred += share
     no_go = total < MIN_COVERED * covered.pixels_per_cell
     if no_go_below is not None:
-        no_go |= (score < no_go_below - _ROUNDING) | (barred > no_go_share + _ROUNDING)
+        poor = (score < no_go_below - _ROUNDING) | (barred > no_go_share + _ROUNDING)
+        no_go |= _within(poor & ~no_go, margin_m / math.sqrt(math.prod(covered.grid.pixel_m)))
     sd = np.sqrt(variance)
     score = score + explore * sd
     score[no_go] = np.nan
     sd[no_go] = np.nan
     return score.astype(np.float32), sd.astype(np.float32)
+
+
+def _within(cells: NDArray[np.bool_], reach: float) -> NDArray[np.bool_]:
+    """Return the cells that are at most `reach` cells, centre to centre, from those given."""
+    if reach < 1.0 - _ROUNDING or not cells.any():
+        return cells
+    away = ndimage.distance_transform_edt(~cells)
+    return np.asarray(away <= reach + _ROUNDING)
 
 
 def _cells_of(first: int, count: int, step: float, cells: int) -> NDArray[np.int64]:

@@ -1,13 +1,14 @@
 """What a drive says of the classes it went over: evidence, and the Beta posteriors that follow from it.
 
 Each interval of a drive observes y in [0, 1], its progress, with a weight of w metres, and each class under the robot
-takes its share of them: alpha += w y, beta += w (1 - y).
+takes its share of them: alpha += w y, beta += w (1 - y). What stopped it is an episode of its own weight, which the
+standstill around it does not add to; episodes at one spot share the weight of one.
 """
 
 from __future__ import annotations
 
 import math
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from typing import Any
@@ -30,8 +31,12 @@ Ease = Callable[[float, float], float]
 
 SPOT_M = 1.0
 """Side of the squares of ground by which episodes are told apart."""
+UNTRIED_M = 2.0
+"""Metres after which a class that never stopped the robot is blamed half as much as one that it never was on."""
 CONTACT_RADIUS_M = 0.6
 """Radius of the ground that is looked at for what stopped a robot."""
+_KNOWN_SHARE = 0.5
+"""Where less of the ground ahead has a class, what stopped the robot is not known."""
 _MOST_DISCS = 1000
 
 
@@ -84,7 +89,7 @@ class FeedbackSettings:
     commanded_m_s : float or None
         The commanded speed where a log does not tell it; None estimates it from the log.
     event_weight_m : float
-        Metres without progress that a collision or a standstill counts for.
+        Metres without progress that a collision or a standstill counts for, however long the robot tried.
     robot_radius_m : float
         Where a log does not tell it.
     gap_s : float
@@ -166,7 +171,7 @@ def evidence_of(
     taking = _Taking(log.time_s, footprints, radius_m, ease)
     spots = [_spot(each, grid) for each in episodes]
     blamed = [_blamed(each, footprints, radius_m) for each in episodes]
-    holder = _held_by(episodes, intervals)
+    held = _held(episodes, intervals)
     progress = settings.curve(intervals.achieved_m_s / intervals.commanded_m_s)
     ahead = 0
     for index, (weight_m, y) in enumerate(zip(intervals.weight_m.tolist(), progress.tolist(), strict=True)):
@@ -174,24 +179,49 @@ def evidence_of(
             taking.add(blamed[ahead], episodes[ahead].share * settings.event_weight_m, 0.0, ahead)
             ahead += 1
         # A standstill weighs as its event, however long the robot tried.
-        if holder[index] < 0 and weight_m > 0:
+        if weight_m > 0 and not held[index]:
             taking.add_way(intervals, index, weight_m, y)
     for index in range(ahead, len(episodes)):
         taking.add(blamed[index], episodes[index].share * settings.event_weight_m, 0.0, index)
     return taking.evidence(sum(map(bool, blamed)), spots, intervals, spikes)
 
 
-def once_a_spot(drives: Sequence[Evidence]) -> list[Evidence]:
-    """Return drives in which all episodes at one spot weigh as much as one of them does on average.
+def settled(drives: Sequence[Evidence]) -> list[Evidence]:
+    """Return drives with the blame for their episodes settled between classes, and between episodes at one spot.
 
-    A robot that is driven against the same rock five times has not learnt five times that rocks do not give way.
+    What stopped a robot is more likely of a class that it has not been driving over. With obstacles met at a rate that
+    is the rarer the farther class k was driven over, m_k metres made good in all drives together (the posterior mean
+    under a Gamma prior: 1 / (m_k + `UNTRIED_M`)), a class with the share f_k of the ground ahead is blamed for
+    f_k^2 / (m_k + `UNTRIED_M`), scaled to 1: the square, because what lies ahead on a sliver was likely not met.
+
+    All episodes at one spot, a square of `SPOT_M` that the contact lies in, weigh as much as one of them does on
+    average: a robot that is driven against the same rock five times has not learnt five times that rocks do not give
+    way.
     """
+    good = _made_good(drives)
     visits = Counter(spot for each in drives for spot in each.spots)
-    shared = []
+    found = []
     for each in drives:
-        share = np.array([1.0 / visits[spot] for spot in each.spots] + [1.0])
-        shared.append(replace(each, weight_m=each.weight_m * share[each.episode]))
-    return shared
+        weight_m = each.weight_m.copy()
+        for index, spot in enumerate(each.spots):
+            mine = each.episode == index
+            total = float(weight_m[mine].sum())
+            if total > 0:
+                rarity = np.array([good[int(k)] + UNTRIED_M for k in each.class_id[mine]])
+                blame = (weight_m[mine] / total) ** 2 / rarity
+                weight_m[mine] = total / visits[spot] * blame / blame.sum()
+        found.append(replace(each, weight_m=weight_m))
+    return found
+
+
+def _made_good(drives: Sequence[Evidence]) -> dict[int, float]:
+    """Return the metres of progress on each class; exact sums, so that the order of drives does not matter."""
+    parts: defaultdict[int, list[float]] = defaultdict(list)
+    for each in drives:
+        way = each.episode < 0
+        for k, metres in zip(each.class_id.tolist(), (each.weight_m * each.progress * way).tolist(), strict=True):
+            parts[k].append(metres)
+    return {k: math.fsum(metres) for k, metres in parts.items()}
 
 
 def _spot(episode: Episode, grid: Grid) -> tuple[int, int]:
@@ -238,20 +268,22 @@ def updated(before: dict[int, ClassScore], drives: Sequence[Evidence], forget_m:
 
 
 def _blamed(episode: Episode, footprints: Footprints, radius_m: float) -> Shares:
-    """Return the classes that stopped a robot: what is new on the ground that it touches."""
+    """Return the classes that stopped a robot: what is new on the ground ahead of it; none at the rim of the survey."""
+    if footprints.covered(*episode.contact, CONTACT_RADIUS_M) < _KNOWN_SHARE:
+        return {}
     ahead = footprints.shares(*episode.contact, CONTACT_RADIUS_M)
     return new_ahead(ahead, footprints.shares(*episode.place, radius_m))
 
 
-def _held_by(episodes: list[Episode], intervals: Intervals) -> list[int]:
-    """Return the episode that each interval without progress stands in; -1 where it moves, or nothing stopped it."""
-    held = np.full(intervals.first.size, -1, np.int64)
-    for index, each in enumerate(episodes):
+def _held(episodes: list[Episode], intervals: Intervals) -> NDArray[np.bool_]:
+    """Return which intervals are without progress because of what stopped the robot, bool [m]."""
+    held = np.zeros(intervals.first.size, np.bool_)
+    for each in episodes:
         if each.stops:
             low = np.searchsorted(intervals.first, each.begin, "left")
             high = np.searchsorted(intervals.last, each.end, "right")
-            held[low:high][intervals.stands[low:high]] = index
-    return [int(each) for each in held]
+            held[low:high] |= intervals.stands[low:high]
+    return held
 
 
 class _Taking:

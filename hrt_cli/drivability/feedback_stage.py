@@ -15,7 +15,7 @@ from hrt_cli.artifacts.drivelog import DriveLog, read_drive_log
 from hrt_cli.artifacts.provenance import file_sha256
 from hrt_cli.artifacts.scores import PRIOR, ClassScore, ScoreTable, read_score_table, scores_document
 from hrt_cli.artifacts.stage import REFUSE, Existing, begin
-from hrt_cli.drivability.feedback import Ease, Evidence, FeedbackSettings, evidence_of, once_a_spot, updated
+from hrt_cli.drivability.feedback import Ease, Evidence, FeedbackSettings, evidence_of, settled, updated
 from hrt_cli.drivability.footprint import NODATA, Footprints
 from hrt_cli.drivability.terrain import Terrain, eased
 from hrt_cli.errors import InputError
@@ -27,7 +27,7 @@ from hrt_cli.raster.track import track_on
 from hrt_cli.raster.windows import blocks
 
 STAGE = "feedback"
-STAGE_VERSION = 1
+STAGE_VERSION = 2
 _SCAN_PX = 2048
 
 
@@ -89,7 +89,8 @@ def learn_scores(
     """Make `output` (a score table) from drives over a class raster, going on from an earlier table.
 
     Every class of the raster and of the table stands in the output; those that no drive touched keep their beliefs.
-    Without forgetting the order of the logs does not matter.
+    Without forgetting the order of the logs does not matter. Episodes at one spot share the weight of one over the logs
+    given; the table does not tell where those that it counts were, so that they count beside these.
 
     Raises
     ------
@@ -126,7 +127,7 @@ def learn_scores(
             drives.append(evidence_of(log, classes.grid, places, footprints, settings, ease))
             notes += _notes(path, log, drives[-1], classes_path)
             progress(index + 1, len(logs))
-    drives = once_a_spot(drives)
+    drives = settled(drives)
     if dsm_path is not None:
         notes += _terrain_notes(dsm_path, drives)
     met = {int(k) for each in drives for k in np.unique(each.class_id)}

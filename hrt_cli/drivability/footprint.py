@@ -39,6 +39,16 @@ class Footprints:
 
         A disc that holds no centre is the pixel that it lies in. Pixels without a class do not count.
         """
+        counts = self._counts(row, col, radius_m)[0]
+        return {int(k): float(counts[k] / counts.sum()) for k in np.flatnonzero(counts)}
+
+    def covered(self, row: float, col: float, radius_m: float) -> float:
+        """Return the share of a disc of ground that has a class."""
+        counts, pixels = self._counts(row, col, radius_m)
+        return float(counts.sum()) / max(pixels, 1)
+
+    def _counts(self, row: float, col: float, radius_m: float) -> tuple[NDArray[np.int64], int]:
+        """Return the pixels of each class in a disc, and how many there are, those off the raster included."""
         row_m, col_m = self._grid.pixel_m
         high, wide = radius_m / row_m, radius_m / col_m
         if 4 * high * wide > _MOST_PX:
@@ -46,14 +56,17 @@ class Footprints:
         top, left = int(np.floor(row - high)), int(np.floor(col - wide))
         window = Window(top, left, int(np.floor(row + high)) - top + 1, int(np.floor(col + wide)) - left + 1)
         inside = window.clipped(self._grid.shape)
+        rows = (np.arange(window.row, window.row + window.height) + 0.5 - row) * row_m
+        cols = (np.arange(window.col, window.col + window.width) + 0.5 - col) * col_m
+        pixels = max(1, int((rows[:, None] ** 2 + cols[None, :] ** 2 <= radius_m**2).sum()))
         if not (inside.height and inside.width):
-            return {}
+            return np.zeros(NODATA, np.int64), pixels
         along = (np.arange(inside.row, inside.row + inside.height) + 0.5 - row) * row_m
         across = (np.arange(inside.col, inside.col + inside.width) + 0.5 - col) * col_m
         disc = along[:, None] ** 2 + across[None, :] ** 2 <= radius_m**2
         values = self._tiles.patch(inside)
-        counts = np.bincount(values[disc] if disc.any() else self._pixel(row, col), minlength=NODATA + 1)[:NODATA]
-        return {int(k): float(counts[k] / counts.sum()) for k in np.flatnonzero(counts)}
+        found = values[disc] if disc.any() else self._pixel(row, col)
+        return np.bincount(found, minlength=NODATA + 1)[:NODATA], pixels
 
     def _pixel(self, row: float, col: float) -> NDArray[np.uint8]:
         return self._tiles.patch(Window(int(np.floor(row)), int(np.floor(col)), 1, 1)).ravel()

@@ -70,6 +70,7 @@ def make_scoremap(
     explore: float = 0.0,
     no_go_below: float | None = None,
     no_go_share: float = 1.0,
+    margin_m: float = 0.0,
     interest: Interest | None = None,
     creation: dict[str, str] | None = None,
     existing: Existing = REFUSE,
@@ -78,9 +79,9 @@ def make_scoremap(
     """Make `output` (a scoremap) from a class raster and a score table.
 
     Without a table every class has the uniform prior. With one, every class of the raster must stand in it, or with
-    `unknown_as_prior` has the prior too. No-go are cells that score less than `no_go_below`, and those of which more
-    than `no_go_share` is of classes that do. With an `interest` a cell's score is its expected drivability times what
-    it is worth; where the robot may go does not depend on it.
+    `unknown_as_prior` has the prior too. No-go are cells that score less than `no_go_below`, those of which more than
+    `no_go_share` is of classes that do, and those within `margin_m` of either. With an `interest` a cell's score is its
+    expected drivability times what it is worth; where the robot may go does not depend on it.
 
     Raises
     ------
@@ -103,6 +104,8 @@ def make_scoremap(
     }
     if no_go_share < 1.0:
         parameters["no_go_share"] = no_go_share
+    if margin_m > 0.0:
+        parameters["margin_m"] = margin_m
     if unknown_as_prior:
         parameters["unknown_as_prior"] = True
     if interest:
@@ -120,7 +123,7 @@ def make_scoremap(
             covered = cover(classes.grid, classes.read, cell_m, progress)
         table = _scores_for(covered, scores, classes_path, scores_path, unknown_as_prior)
         unknown = [k for k in covered.classes if k not in scores]
-        score, sd = score_cells(covered, table, explore, no_go_below, no_go_share)
+        score, sd = score_cells(covered, table, explore, no_go_below, no_go_share, margin_m)
         if np.isnan(score).all():
             raise InputError(classes_path, "gives no cell that may be entered: all are nodata or below --no-go-below")
         scoremap = Scoremap(score, sd, covered.grid, cell_m)

@@ -20,6 +20,8 @@ kernel: Any = njit(cache=True, nogil=True)
 CELL_M = 0.2
 _SLOWEST = 0.08
 """Ground slower than this share of the commanded speed is not entered."""
+_LEAST_SPARE_M = 0.02
+"""Beyond its radius, a robot keeps so far from obstacles and the rim of the survey."""
 _COMFORT_M = 0.8
 """Nearer to an obstacle than its radius and this, a robot pays for it: up to `_FEAR` times the way."""
 _FEAR = 6.0
@@ -62,22 +64,33 @@ def water_map(site: Site, radius_m: float) -> CostMap:
 
 
 def _costs(site: Site, radius_m: float, clearance_m: NDArray[np.float32], factor: NDArray[np.float32]) -> CostMap:
-    step = max(1, round(CELL_M / site.pixel_m))
-    rows, cols = -(-site.grid.rows // step), -(-site.grid.cols // step)
-    pad = ((0, rows * step - site.grid.rows), (0, cols * step - site.grid.cols))
-
-    def blocks(layer: NDArray[Any], fill: float) -> NDArray[np.float32]:
-        padded = np.pad(layer.astype(np.float32), pad, constant_values=fill)
-        return padded.reshape(rows, step, cols, step)
-
-    room = blocks(np.minimum(clearance_m, 99.0), 0.0).min(axis=(1, 3))
-    speed = blocks(factor, 0.0).mean(axis=(1, 3))
-    rim = blocks(rim_distance(site), 0.0).min(axis=(1, 3))
+    step = _pixels_a_cell(site)
+    room = _blocks(np.minimum(clearance_m, 99.0), step).min(axis=(1, 3))
+    speed = _blocks(factor, step).mean(axis=(1, 3))
+    rim = _blocks(rim_distance(site), step).min(axis=(1, 3))
     spare = np.minimum(room, rim) - radius_m
     near = np.clip(1.0 - spare / _COMFORT_M, 0.0, 1.0)
     cost = (1.0 + _FEAR * near * near) / np.maximum(speed, _SLOWEST)
-    cost[(spare < 0.02) | (speed < _SLOWEST)] = np.inf
+    cost[(spare < _LEAST_SPARE_M) | (speed < _SLOWEST)] = np.inf
     return CostMap(np.ascontiguousarray(cost, np.float32), step * site.pixel_m)
+
+
+def inside_rim(site: Site, radius_m: float) -> NDArray[np.bool_]:
+    """Return where a robot is wholly on the surveyed area, bool [rows, cols]: what lies in cells that are."""
+    step = _pixels_a_cell(site)
+    inside = _blocks(rim_distance(site), step).min(axis=(1, 3)) - radius_m >= _LEAST_SPARE_M
+    return np.repeat(np.repeat(inside, step, axis=0), step, axis=1)[: site.grid.rows, : site.grid.cols]
+
+
+def _pixels_a_cell(site: Site) -> int:
+    return max(1, round(CELL_M / site.pixel_m))
+
+
+def _blocks(layer: NDArray[Any], step: int) -> NDArray[np.float32]:
+    """Return the squares of `step` pixels of a layer, [rows, step, cols, step]; beyond its rim it is 0."""
+    rows, cols = -(-layer.shape[0] // step), -(-layer.shape[1] // step)
+    pad = ((0, rows * step - layer.shape[0]), (0, cols * step - layer.shape[1]))
+    return np.pad(layer.astype(np.float32), pad).reshape(rows, step, cols, step)
 
 
 def rim_distance(site: Site) -> NDArray[np.float32]:

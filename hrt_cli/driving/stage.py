@@ -16,7 +16,7 @@ from hrt_cli.artifacts.plan import PlanDocument, read_plan
 from hrt_cli.artifacts.stage import REFUSE, Existing, ReadProvenance, begin
 from hrt_cli.driving.course import Course
 from hrt_cli.driving.expert import GroundExpert, WaterExpert
-from hrt_cli.driving.field import rim_distance
+from hrt_cli.driving.field import inside_rim, rim_distance
 from hrt_cli.driving.local import LocalPlanner, Pursuit
 from hrt_cli.driving.record import ABOUT, Recorder, prepare_folder
 from hrt_cli.driving.simulator import Drive, Setting, first_heading, simulate, unwatched
@@ -27,7 +27,7 @@ from hrt_cli.raster.track import points_on
 from hrt_cli.world.site import Site, load_site, site_files
 
 STAGE = "drive"
-STAGE_VERSION = 1
+STAGE_VERSION = 2
 
 LOCAL_PLANNERS = ("pursuit", "expert")
 
@@ -233,7 +233,31 @@ def _course(
         raise ArgumentError(f"{path}: its start lies on an obstacle or off the survey, and no free ground is near")
     moved = float(np.hypot(*(start - wanted)))
     notes = [f"the robot is put down {moved:.1f} m beside the start, which is blocked"] if moved > 0.5 else []
-    return Course(np.vstack([start, points[1:] if len(points) > 1 else points])), notes
+    places, more = _off_the_rim(points[1:] if len(points) > 1 else points, plan.grid.cell_size_m, site, vehicle)
+    return Course(np.vstack([start, places])), notes + more
+
+
+def _off_the_rim(
+    places: NDArray[np.float64], reach_m: float, site: Site, vehicle: Vehicle
+) -> tuple[NDArray[np.float64], list[str]]:
+    """Return places to drive to, those at the rim of the survey moved inside, and notes of it.
+
+    A robot keeps its radius from what the survey did not see: it is stopped there. What has no such ground within
+    `reach_m` is left out.
+    """
+    inside = inside_rim(site, vehicle.radius_m)
+    kept, moved = [], 0
+    for place in places:
+        nearest = _nearest(inside, place, reach_m, site)
+        if nearest is not None:
+            kept.append(nearest)
+            moved += nearest is not place
+    notes = []
+    if moved:
+        notes.append(f"{moved} of {len(places)} places lie at the rim of the survey: moved inside")
+    if len(kept) < len(places):
+        notes.append(f"{len(places) - len(kept)} of {len(places)} places lie off the survey: left out")
+    return np.array(kept).reshape(-1, 2), notes
 
 
 def _left_at(path: Path, site: Site) -> NDArray[np.float64]:
@@ -257,21 +281,30 @@ def _on_site(path: Path, xy: NDArray[np.float64], crs: str | None, site: Site) -
 
 def _free_place(site: Site, wanted: NDArray[np.float64], vehicle: Vehicle) -> NDArray[np.float64] | None:
     """Return the place nearest to `wanted` where the robot touches nothing, if there is one near."""
-    reach = int(_FARTHEST_MOVED_M / site.pixel_m)
-    row, col = site.pixel(float(wanted[0]), float(wanted[1]))
-    r0, c0 = max(row - reach, 0), max(col - reach, 0)
-    part = np.s_[r0 : max(row + reach + 1, 0), c0 : max(col + reach + 1, 0)]
-    room = rim_distance(site)[part]
+    room = rim_distance(site)
     if vehicle.kind == "ugv":
-        room = np.minimum(room, site.clearance_m[part])
-    free = room > vehicle.radius_m + site.pixel_m
-    rows, cols = np.nonzero(free)
+        room = np.minimum(room, site.clearance_m)
+    return _nearest(room > vehicle.radius_m + site.pixel_m, wanted, _FARTHEST_MOVED_M, site)
+
+
+def _nearest(
+    free: NDArray[np.bool_], wanted: NDArray[np.float64], reach_m: float, site: Site
+) -> NDArray[np.float64] | None:
+    """Return `wanted` itself where its pixel is free, else the nearest middle of one that is, at most `reach_m` away.
+
+    Parameters
+    ----------
+    free : bool [rows, cols]
+    """
+    row, col = site.pixel(float(wanted[0]), float(wanted[1]))
+    if 0 <= row < free.shape[0] and 0 <= col < free.shape[1] and free[row, col]:
+        return wanted
+    reach = math.ceil(reach_m / site.pixel_m)
+    r0, c0 = max(row - reach, 0), max(col - reach, 0)
+    rows, cols = np.nonzero(free[r0 : max(row + reach + 1, 0), c0 : max(col + reach + 1, 0)])
     places = np.stack([cols + c0 + 0.5, rows + r0 + 0.5], axis=1) * site.pixel_m
     away = np.hypot(*(places - wanted).T)
-    if away.min(initial=np.inf) > _FARTHEST_MOVED_M:
-        return None
-    nearest = places[int(away.argmin())]
-    return wanted if site.pixel(*wanted) == site.pixel(*nearest) else nearest
+    return places[int(away.argmin())] if away.min(initial=np.inf) <= reach_m else None
 
 
 def _records(drive: Drive, site: Site, vehicle: Vehicle) -> list[dict[str, Any]]:

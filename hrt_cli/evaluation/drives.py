@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from affine import Affine
 from numpy.typing import NDArray
 from rasterio.crs import CRS
 from rasterio.errors import CRSError
@@ -19,24 +18,20 @@ from hrt_cli.driving.local import Pose
 from hrt_cli.driving.motion import bottom_clearance, sample
 from hrt_cli.driving.vehicle import VEHICLES, Vehicle
 from hrt_cli.errors import ArgumentError, InputError
+from hrt_cli.evaluation.travel import metres_gone, travel_heading
 from hrt_cli.planning.resume import driven_cells
 from hrt_cli.progress import Progress, silent
-from hrt_cli.raster.grid import WGS84, Grid
+from hrt_cli.raster.grid import WGS84
 from hrt_cli.raster.scoremap import read_scoremap
 from hrt_cli.raster.track import track_on
 from hrt_cli.world.camera import Camera
 from hrt_cli.world.site import Site, load_site
 
-_IDENTITY = Affine.identity()
 LOOK_EVERY_S = 1.0
 """Between two frames in which the target is looked for."""
 STALLED = 0.1
 """A robot that gets on at less than this share of the commanded speed stalls."""
 _COMMANDED_M_S = 0.05
-_THIN_M = 0.5
-"""A track without speeds is measured between places so far apart: errors of the position would lengthen it."""
-_SOON = 500
-"""Records ahead in which a robot's next metre is looked for."""
 _FARTHEST_M = 5.0
 """Clearances are measured up to here."""
 
@@ -203,22 +198,10 @@ def _gone(path: Path, log: DriveLog) -> NDArray[np.float64]:
     if np.isfinite(log.speed_m_s).all():
         legs = 0.5 * (log.speed_m_s[1:] + log.speed_m_s[:-1]) * np.diff(log.time_s)
         return np.append(0.0, np.cumsum(np.where(_driven(log), legs, 0.0)))
-    crs = _crs(path, log)
-    # A grid of one unit a pixel with its origin at 0, 0: places are pixel positions, and lengths ground metres.
-    grid = Grid(1, 1, _IDENTITY, crs)
-    gone = np.zeros(len(log.time_s))
-    last = 0
-    for k in range(1, len(gone)):
-        gone[k] = gone[k - 1]
-        if k in log.breaks:
-            last = k
-            continue
-        a, b = log.place[last], log.place[k]
-        leg = float(grid.ground_length_m([a[1], b[1]], [a[0], b[0]])[0])
-        if leg >= _THIN_M:
-            gone[k] += leg
-            last = k
-    return gone
+    try:
+        return metres_gone(log.place, _crs(path, log), log.breaks)
+    except ValueError as error:
+        raise InputError(path, f"cannot be measured: {error}") from error
 
 
 def _driven(log: DriveLog) -> NDArray[np.bool_]:
@@ -262,22 +245,8 @@ def _poses(path: Path, log: DriveLog, site: Site) -> _Poses:
     place = np.stack([cols, rows], axis=1) * site.pixel_m
     heading = np.radians(log.heading_deg) - site.up_bearing_rad
     unknown = np.isnan(heading)
-    heading[unknown] = _travel_heading(place)[unknown]
+    heading[unknown] = travel_heading(place)[unknown]
     return _Poses(place, -log.depth_m, heading, np.radians(np.nan_to_num(log.pitch_deg)))
-
-
-def _travel_heading(place: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the direction of travel at each place: over the next metre, at the end the last."""
-    heading = np.zeros(len(place))
-    last = 0.0
-    for k in range(len(place)):
-        away = np.hypot(*(place[k : k + _SOON] - place[k]).T)
-        far = np.flatnonzero(away >= 1.0)
-        if far.size:
-            east, south = place[k + far[0]] - place[k]
-            last = math.atan2(east, -south)
-        heading[k] = last
-    return heading
 
 
 def _clearances(site: Site, poses: _Poses, log: DriveLog, vehicle: Vehicle) -> NDArray[np.float64]:

@@ -151,7 +151,7 @@ class Grid:
         if self.crs is None:
             return np.asarray(np.hypot(np.diff(row), np.diff(col)))
         lon, lat = self.lonlat(*self.xy(row, col))
-        east, north = _metres_per_degree((lat[1:] + lat[:-1]) / 2)
+        east, north = metres_per_degree((lat[1:] + lat[:-1]) / 2)
         return np.asarray(np.hypot(_wrapped(np.diff(lon)) * east, np.diff(lat) * north))
 
     def steps_towards(self, rows: ArrayLike, cols: ArrayLike, heading_deg: ArrayLike) -> tuple[Floats, Floats]:
@@ -211,7 +211,7 @@ class Grid:
         dr, dc = step[0] * half, step[1] * half
         lon0, lat0 = self.lonlat(*self.xy(rows - dr, cols - dc))
         lon1, lat1 = self.lonlat(*self.xy(rows + dr, cols + dc))
-        east, north = _metres_per_degree((lat0 + lat1) / 2)
+        east, north = metres_per_degree((lat0 + lat1) / 2)
         return np.stack([_wrapped(lon1 - lon0) * east, (lat1 - lat0) * north]) / (2 * half)
 
 
@@ -295,7 +295,7 @@ def _wrapped(degrees: Floats) -> Floats:
     return np.asarray((degrees + 180.0) % 360.0 - 180.0)
 
 
-def _metres_per_degree(lat_deg: Floats) -> tuple[Floats, Floats]:
+def metres_per_degree(lat_deg: Floats) -> tuple[Floats, Floats]:
     """Ground metres per degree of longitude and of latitude on the WGS 84 ellipsoid at latitudes in degrees.
 
     The radii of curvature N (prime vertical) and M (meridian): Snyder, Map Projections (1987), eqs. 4-18 to 4-21.

@@ -36,8 +36,8 @@ TALL_M = 0.30
 """What stands higher than this above the ground is an obstacle to a ground vehicle."""
 STEP_M, STEP_REACH_M = 0.30, 0.30
 """Neither does it climb a step of this height within this distance."""
-STEEPEST = math.tan(math.radians(35.0))
-"""Rise over run at which a ground vehicle no longer gets on."""
+SLIPS_FROM, STEEPEST = math.tan(math.radians(25.0)), math.tan(math.radians(35.0))
+"""Rise over run up to which a ground vehicle holds its speed, and at which it no longer gets on."""
 
 _ORTHOS = ("ortho.tif", "ortho.vrt")
 _TRUTHS = ("truth.tif", "classes.tif")
@@ -172,8 +172,7 @@ def load_site(folder: Path, pixel_m: float | None = None) -> Site:
     obstacle = ((surface - ground > TALL_M) | (rise(surface, pixel, STEP_REACH_M) > STEP_M)) & measured
     obstacle |= _table(true, 0.0, lambda each: float(each.obstacle))[classes] > 0
     drivability = _table(true, 1.0, lambda each: each.drivability)[classes]
-    # A robot that holds its speed climbs until its wheels slip: little is lost up to half of the steepest slope.
-    factor = drivability * np.clip(1.0 - (slope(ground, pixel) / STEEPEST) ** 4, 0.0, 1.0)
+    factor = drivability * np.clip((STEEPEST - slope(ground, pixel)) / (STEEPEST - SLIPS_FROM), 0.0, 1.0)
     return Site(
         grid=grid,
         pixel_m=pixel,

@@ -18,7 +18,17 @@ from rasterio.warp import calculate_default_transform, reproject, transform
 
 from hrt_cli.artifacts.scores import ClassScore, read_score_table, scores_document
 from hrt_cli.artifacts.stage import Existing
-from hrt_cli.drivability.feedback import Curve, FeedbackSettings, posterior
+from hrt_cli.drivability.episodes import REACH_M
+from hrt_cli.drivability.feedback import (
+    CONTACT_RADIUS_M,
+    SPOT_M,
+    Curve,
+    Evidence,
+    FeedbackSettings,
+    posterior,
+    settled,
+    updated,
+)
 from hrt_cli.drivability.feedback_stage import FeedbackSummary, learn_scores
 from hrt_cli.drivability.footprint import new_ahead
 from hrt_cli.errors import ArgumentError, HrtError, InputError
@@ -27,6 +37,8 @@ HUSKY = Path(__file__).parents[2].parent / "shared" / "data" / "husky" / "husky_
 pytestmark = pytest.mark.filterwarnings("ignore:Use `@` matmul:PendingDeprecationWarning")
 
 AGAIN = Existing(overwrite=True, force=True)
+EVENT_M = FeedbackSettings().event_weight_m
+RADIUS_M = FeedbackSettings().robot_radius_m
 
 
 @pytest.fixture
@@ -192,56 +204,66 @@ class TestEvents:
         stop = STOP | {"event": kind, "heading_deg": heading}
         found = learn(classes, self.told([*RUN[:-1], stop]))
         assert beta(found, 0) == pytest.approx((18, 1))
-        assert beta(found, 1) == pytest.approx((1, 1 + 10 * share))
+        assert beta(found, 1) == pytest.approx((1, 1 + EVENT_M * share))
         assert found.totals()["events"] == 1
 
     def test_a_heading_counts_before_the_way_that_was_driven(self, classes: Path) -> None:
         stop = STOP | {"heading_deg": 270.0}
         found = learn(classes, [*RUN[:-1], stop])
-        assert beta(found, 0) == pytest.approx((18, 11))
+        assert beta(found, 0) == pytest.approx((18, 1 + EVENT_M))
         assert beta(found, 1) == (1, 1)
 
-    def test_only_what_is_new_ahead_is_blamed(self, classes: Path) -> None:
-        # 0.2 m nearer the contact ground is nearly all, and under the robot a part, of class 1.
-        stop = STOP | xy(19.9, 5.0)
+    @pytest.mark.parametrize("contact_m", [-0.5 * CONTACT_RADIUS_M, 0.0, RADIUS_M + REACH_M - 0.1])
+    def test_only_what_is_new_ahead_is_blamed(self, classes: Path, contact_m: float) -> None:
+        # The contact's middle lies before, on and beyond the border; in the end a part of the robot is across it.
+        stop = STOP | xy(20.0 + contact_m - RADIUS_M - REACH_M, 5.0)
         found = learn(classes, [*RUN[:-1], stop])
-        assert beta(found, 0)[1] == pytest.approx(1, abs=1e-9)
-        assert beta(found, 1)[1] == pytest.approx(11, abs=1e-9)
+        assert found.after[0].beta == pytest.approx(1, abs=1e-9)
+        assert found.after[1].beta == pytest.approx(1 + EVENT_M, abs=1e-9)
 
     def test_weight_and_radius(self, classes: Path) -> None:
         drive = [*RUN[:-1], STOP]
         assert beta(learn(classes, drive, event_weight_m=3.0), 1) == pytest.approx((1, 4))
-        # What a small robot touches lies within 0.5 m ahead of its middle, and the border is 0.55 m away.
-        drive[-1] = STOP | xy(19.45, 5.0)
+        # The ground that stops a small robot ends a pixel before the border; that which stops a larger one does not.
+        drive[-1] = STOP | xy(20.0 - 0.1 - (0.05 + REACH_M + CONTACT_RADIUS_M), 5.0) | {"heading_deg": 90.0}
         small = learn(classes, drive, robot_radius_m=0.05)
         assert beta(small, 1) == (1, 1)
-        assert small.after[0].beta == pytest.approx(11)
+        assert small.after[0].beta == pytest.approx(1 + EVENT_M)
         told = learn(classes, drive, header={"robot": {"kind": "ugv", "radius_m": 0.35}}, robot_radius_m=0.05)
-        assert beta(told, 1) == pytest.approx((1, 11))
+        assert beta(told, 1) == pytest.approx((1, 1 + EVENT_M))
 
     @pytest.mark.parametrize("stuck_at", [None, 5])
-    def test_standing_against_it_counts_against_it(self, classes: Path, stuck_at: int | None) -> None:
+    def test_a_standstill_weighs_as_its_event(self, classes: Path, stuck_at: int | None) -> None:
         stands = [dict(each) for each in STANDS]
         if stuck_at is not None:
             stands[stuck_at]["event"] = "stuck"
         stop = STOP | {"speed_m_s": 0.0}
         found = learn(classes, self.told([*RUN[:-1], stop, *stands]))
-        # 5 m were commanded while it stood, and the episode counts once; half a second slowing down is class 0's.
-        assert beta(found, 1) == pytest.approx((1, 1 + 10 + 5))
+        # The 5 m commanded while it stood count nothing, and the episode once; half a second slowing down is class 0's.
+        assert beta(found, 1) == pytest.approx((1, 1 + EVENT_M))
         assert beta(found, 0) == pytest.approx((1 + 16.75, 1 + 0.25))
         assert found.totals()["events"] == 1
+        assert found.totals()["evidence_m"] == pytest.approx(17 + EVENT_M)
+
+    def test_however_long_it_tried(self, classes: Path) -> None:
+        stop = STOP | {"speed_m_s": 0.0}
+        stands = [{**STANDS[0], "t": 17 + 0.5 * i} for i in range(1, 200)]
+        short, long = (learn(classes, self.told([*RUN[:-1], stop, *stands[:n]])) for n in (10, 199))
+        assert long.after == short.after
+        assert beta(learn(classes, self.told([*RUN[:-1], stop, *stands]), event_weight_m=0.0), 1) == (1, 1)
 
     def test_a_stop_is_sharp_where_speeds_come_from_places(self, classes: Path) -> None:
         drive = [{k: v for k, v in each.items() if k != "speed_m_s"} for each in (*RUN[:-1], STOP, *STANDS)]
         found = learn(classes, self.told(drive))
         assert beta(found, 0) == pytest.approx((18, 1), abs=0.01)
-        assert beta(found, 1) == pytest.approx((1, 16), abs=0.01)
+        assert beta(found, 1) == pytest.approx((1, 1 + EVENT_M), abs=0.01)
 
     def test_a_standstill_before_it_is_called_stuck_is_part_of_it(self, classes: Path) -> None:
         stop = STOP | {"speed_m_s": 0.0, "event": None}
         stands = [*STANDS[:-1], STANDS[-1] | {"event": "stuck"}]
         found = learn(classes, self.told([*RUN[:-1], stop, *stands]))
-        assert found.after[1].beta == pytest.approx(16, abs=0.6)
+        assert found.after[1].beta == pytest.approx(1 + EVENT_M)
+        assert found.after[0].beta == pytest.approx(1, abs=0.6)
 
     def test_standing_for_no_event_is_the_ground_under_the_wheels(self, classes: Path) -> None:
         stop = STOP | {"speed_m_s": 0.0, "event": None}
@@ -252,17 +274,126 @@ class TestEvents:
     def test_standing_after_a_person_stepped_in_is_not_the_ground_ahead(self, classes: Path) -> None:
         stop = STOP | {"speed_m_s": 0.0, "event": "intervention"}
         found = learn(classes, self.told([*RUN[:-1], stop, *STANDS]))
-        assert beta(found, 1) == pytest.approx((1, 6))
+        assert beta(found, 1) == pytest.approx((1, 1 + EVENT_M / 2))
+        assert found.after[0].beta == pytest.approx(6.25)
 
-    def test_another_collision_after_leaving_counts_again(self, classes: Path) -> None:
+    @pytest.mark.parametrize(("aside_m", "times"), [(0.0, 1), (2 * SPOT_M, 2)])
+    def test_another_collision_counts_again_at_another_spot(self, classes: Path, aside_m: float, times: int) -> None:
         back = [
-            {"t": 18.0 + i, **xy(19.6 - d, 5), "speed_m_s": 0.5, "commanded_m_s": 0.5, "heading_deg": 90.0}
+            {"t": 18.0 + i, **xy(19.6 - d, 5.2 + aside_m * (i > 2)), "speed_m_s": 0.5, "commanded_m_s": 0.5,
+             "heading_deg": 90.0}
             for i, d in enumerate((0.5, 1.0, 1.5, 1.0, 0.5, 0.0))
-        ]
+        ]  # fmt: skip
         back[-1]["event"] = "collision"
-        found = learn(classes, [*RUN[:-1], STOP, *back])
+        found = learn(classes, [*RUN[:-1], STOP | xy(19.6, 5.2) | {"heading_deg": 90.0}, *back])
         assert found.totals()["events"] == 2
-        assert beta(found, 1) == pytest.approx((1, 21))
+        assert beta(found, 1) == pytest.approx((1, 1 + times * EVENT_M))
+
+
+def hit(east_m: float, south_m: float, event: str = "collision", t: float = 0.0) -> dict[str, Any]:
+    """A robot that drives east is stopped by what lies at a place."""
+    at = xy(east_m - RADIUS_M - REACH_M, south_m)
+    return {"t": t, **at, "heading_deg": 90.0, "speed_m_s": 0.0, "commanded_m_s": 1.0, "event": event}
+
+
+class TestOnceASpot:
+    """Contacts in one square metre of ground: that from (20, 5) to (21, 6), on class 1."""
+
+    def test_two_logs_share_the_weight_of_one(self, classes: Path) -> None:
+        logs = [[hit(20.2, 5.2)], [hit(20.8, 5.8, "stuck")]]
+        found = learn(classes, *logs)
+        assert beta(found, 1) == pytest.approx((1, 1 + EVENT_M))
+        assert found.after[1].evidence_m == pytest.approx(EVENT_M)
+        assert found.logs is not None
+        assert [each.evidence_m for each in found.logs] == pytest.approx([EVENT_M / 2] * 2)
+        assert found.totals()["events"] == 2
+
+    def test_no_metre_that_was_driven_is_shared(self, classes: Path) -> None:
+        logs = [[*RUN[:-1], STOP], [{**each, "t": each["t"] + 100} for each in (*RUN[:-1], STOP)]]
+        found = learn(classes, *logs)
+        assert beta(found, 0) == pytest.approx((1 + 2 * 17, 1))
+        assert beta(found, 1) == pytest.approx((1, 1 + EVENT_M))
+
+    def test_events_of_two_kinds_weigh_their_mean(self, classes: Path) -> None:
+        found = learn(classes, [hit(20.2, 5.2)], [hit(20.8, 5.8, "intervention")])
+        assert beta(found, 1) == pytest.approx((1, 1 + 0.75 * EVENT_M))
+
+    def test_so_do_those_of_one_log(self, classes: Path) -> None:
+        away = {**hit(10.5, 5.5), "event": None}
+        records = [{**each, "t": 100.0 * i} for i, each in enumerate([hit(20.2, 5.5), away] * 5)]
+        found = learn(classes, [{k: v for k, v in each.items() if v is not None} for each in records])
+        assert found.totals()["events"] == 5
+        assert beta(found, 1) == pytest.approx((1, 1 + EVENT_M))
+
+    @pytest.mark.parametrize("other", [(20.5, 4.5), (21.5, 5.5), (20.5, 5.5 + 3 * SPOT_M)])
+    def test_spots_beside_one_another_count_each(self, classes: Path, other: tuple[float, float]) -> None:
+        found = learn(classes, [hit(20.5, 5.5)], [hit(*other)])
+        assert beta(found, 1) == pytest.approx((1, 1 + 2 * EVENT_M))
+
+    def test_what_a_table_counts_already_counts_beside_it(self, classes: Path) -> None:
+        logs = [
+            put_log(classes.with_name(f"{name}.jsonl"), [hit(20.5, 5.5, t=t)]) for t, name in ((0.0, "a"), (1.0, "b"))
+        ]
+        assert beta(learn(classes, *logs), 1) == pytest.approx((1, 1 + EVENT_M))
+        learn(classes, logs[0])
+        table = classes.with_name("out.json").rename(classes.with_name("first.json"))
+        assert beta(learn(classes, logs[1], scores_path=table), 1) == pytest.approx((1, 1 + 2 * EVENT_M))
+
+    @settings(max_examples=20)
+    @given(order=st.permutations(range(5)))
+    def test_no_byte_depends_on_the_order_of_logs(self, crowded: tuple[Path, list[Path]], order: list[int]) -> None:
+        classes, logs = crowded
+        for name, at in (("a.json", range(5)), ("b.json", order)):
+            learn_scores([logs[i] for i in at], classes, classes.with_name(name), FeedbackSettings(), existing=AGAIN)
+        assert classes.with_name("a.json").read_bytes() == classes.with_name("b.json").read_bytes()
+
+    @given(
+        st.lists(
+            st.lists(st.tuples(st.integers(0, 2), st.floats(0.01, 50), st.integers(-1, 2)), max_size=6),
+            min_size=1, max_size=6,
+        ),
+        st.randoms(),
+    )  # fmt: skip
+    def test_no_bit_depends_on_the_order_of_drives(
+        self, drives: list[list[tuple[int, float, int]]], shuffled: random.Random
+    ) -> None:
+        made = [evidence(each) for each in drives]
+        before = dict.fromkeys(range(3), ClassScore(1, 1))
+        found = []
+        for _ in range(3):
+            shared = settled(made)
+            assert [each.weight_m.size for each in shared] == [each.weight_m.size for each in made]
+            found.append(updated(before, shared, None))
+            shuffled.shuffle(made)
+        assert found[0] == found[1] == found[2]
+
+
+def evidence(rows: list[tuple[int, float, int]]) -> Evidence:
+    """Evidence of class, weight and spot (0, 1 or 2; -1: driven over), without progress; each row its own episode."""
+    spots = [(0, spot) for _, _, spot in rows if spot >= 0]
+    numbers = np.cumsum([spot >= 0 for _, _, spot in rows], dtype=np.int64) - 1
+    episode = np.where([spot >= 0 for _, _, spot in rows], numbers, -1) if rows else np.zeros(0, np.int64)
+    class_id, weight = np.array([k for k, _, _ in rows], np.int64), np.array([w for _, w, _ in rows], float)
+    return Evidence(class_id, weight, np.zeros(len(rows)), episode, spots, 0.0, 0.0, len(spots), None, 0)
+
+
+def test_spots_share_by_how_often_they_were_met() -> None:
+    shared = settled([evidence([(1, 6.0, 0), (0, 4.0, -1), (1, 6.0, 2)]), evidence([(1, 9.0, 0), (1, 3.0, 0)])])
+    assert shared[0].weight_m.tolist() == pytest.approx([2.0, 4.0, 6.0])
+    assert shared[1].weight_m.tolist() == pytest.approx([3.0, 1.0])
+
+
+@pytest.fixture(scope="module")
+def crowded(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[Path]]:
+    """Five drives against the same square metre, not quite in the same place."""
+    folder = tmp_path_factory.mktemp("crowded")
+    rng = np.random.default_rng(1)
+    logs = []
+    for index in range(5):
+        at = (20.1 + 0.8 * float(rng.random()), 5.1 + 0.8 * float(rng.random()))
+        end = hit(*at, ("collision", "intervention", "stuck")[index % 3], t=17.3 + index)
+        logs.append(put_log(folder / f"{index}.jsonl", [*RUN[:-1], end]))
+    return put_classes(folder / "classes.tif", halves(), names=3), logs
 
 
 @pytest.fixture(scope="module")
@@ -505,11 +636,13 @@ def test_headings_are_from_true_north_on_a_turned_raster(tmp_path: Path, angle: 
     place = middle @ Affine.translation(-100, -100)
     col, row = np.meshgrid(np.arange(200) + 0.5, np.arange(200) + 0.5)
     north = place.d * col + place.e * row + place.f
-    classes = put_classes(tmp_path / "c.tif", (north > ORIGIN[1] + 0.4).astype(np.uint8), place=place)
+    classes = put_classes(
+        tmp_path / "c.tif", (north > ORIGIN[1] + CONTACT_RADIUS_M + 0.1).astype(np.uint8), place=place
+    )
     here = {**xy(0, 0), "commanded_m_s": 1.0, "speed_m_s": 0.0}
     for heading, blamed in ((0.0, 1), (180.0, 0), (90.0, 0)):
         found = learn(classes, [{"t": 0.0, **here, "heading_deg": heading, "event": "stuck"}])
-        assert found.after[blamed].beta == pytest.approx(11), heading
+        assert found.after[blamed].beta == pytest.approx(1 + EVENT_M), heading
 
 
 class TestRefused:

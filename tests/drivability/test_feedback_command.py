@@ -8,8 +8,11 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner, Result
 from drives import UTM33, eastward, halves, in_degrees, put_classes, put_log
+from hrt_commands.feedback import feedback
 
 from hrt_cli import main as shell
+from hrt_cli.drivability.feedback import FeedbackSettings
+from hrt_cli.drivability.feedback_stage import learn_scores
 from hrt_cli.main import cli
 
 
@@ -104,6 +107,18 @@ def test_every_kind_of_log_tells_the_same(site: tuple[Path, Path, Path], tmp_pat
         assert done.exit_code == 0, done.output
         found.append(json.loads(done.stdout)["evidence_m"])
     assert found == pytest.approx([10, 10, 10, 9], rel=1e-4)
+
+
+def test_the_defaults_are_those_of_the_settings(site: tuple[Path, Path, Path]) -> None:
+    classes, log, output = site
+    end = {"event": "collision", "heading_deg": 90.0}
+    put_log(log, [*eastward(17, speed_m_s=1.0, commanded_m_s=1.0), *eastward(0, east_m=19.5, t0=17.5, **end)])
+    command = next(each for each in feedback.params if each.name == "event_weight")
+    assert command.default == FeedbackSettings().event_weight_m
+    assert run(log, "--classes", classes, "-o", output).exit_code == 0
+    learn_scores([log], classes, output.with_name("other.json"), FeedbackSettings())
+    assert output.read_bytes() == output.with_name("other.json").read_bytes()
+    assert json.loads(output.read_text())["scores"]["1"]["evidence_m"] == pytest.approx(command.default)
 
 
 def test_notes_go_to_stderr(site: tuple[Path, Path, Path], tmp_path: Path) -> None:

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import json
 import math
+import re
 from dataclasses import asdict
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -13,14 +15,18 @@ from affine import Affine
 from click.testing import CliRunner
 from pyproj import Transformer
 from raster_files import UTM33
-from world_files import map_xy, place_of, put_drive_log, put_plan, put_world
+from world_files import ground_site, map_xy, place_of, put_drive_log, put_plan, put_world
 
 from hrt_cli.artifacts.drivelog import drive_provenance, read_drive_log
+from hrt_cli.artifacts.plan import read_plan
 from hrt_cli.artifacts.stage import Existing
+from hrt_cli.driving import stage
+from hrt_cli.driving.field import cost_map, inside_rim, rim_distance
 from hrt_cli.driving.stage import LOCAL_PLANNERS, DriveRequest, DriveSummary, drive_file
+from hrt_cli.driving.vehicle import UGV
 from hrt_cli.errors import ArgumentError, InputError, OutputError
 from hrt_cli.main import cli
-from hrt_cli.world.site import load_site
+from hrt_cli.world.site import Site, load_site
 
 ROWS, COLS = 100, 140  # 10 m by 14 m
 KNOWN = {"t", "x", "y", "speed_m_s", "commanded_m_s", "heading_deg", "pitch_deg", "depth_m", "event"}
@@ -156,6 +162,109 @@ def test_a_start_a_little_off_the_survey_is_moved_onto_it(world: Path, tmp_path:
     found = drive(straight(tmp_path / "p.json", (-1.0, 2.0), (5.0, 2.0)), world, tmp_path / "d.jsonl", local="expert")
     assert found.end == "arrived"
     assert found.notes
+
+
+@pytest.fixture(scope="module")
+def islands(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    """Surveys on land and under water that have heights only in an octagon, 1 m from the raster's edges."""
+    row, col = np.mgrid[:ROWS, :COLS]
+    inside = (row >= 10) & (row < ROWS - 10) & (col >= 10) & (col < COLS - 10)
+    inside &= (row + col > 50) & (row + COLS - col > 50) & (ROWS - row + col > 50) & (ROWS - row + COLS - col > 50)
+    made = {}
+    for name, height, more in (("ugv", 0.0, {}), ("auv", -6.0, {"scene": "reef"})):
+        surface = np.where(inside, height, np.nan)
+        made[name] = put_world(tmp_path_factory.mktemp(name), surface, classes=classes(), **more)
+    return made
+
+
+def around(inset_m: float) -> list[tuple[float, float]]:
+    """A way around the octagon's box, so far inside it (outside, where that is below 0), a place every half metre."""
+    low, right, bottom = 1.0 + inset_m, COLS / 10 - 1.0 - inset_m, ROWS / 10 - 1.0 - inset_m
+    corners = [(4.0, low), (right - 3, low), (right, 4.0), (right, bottom - 3), (right - 3, bottom), (4.0, bottom)]
+    places = []
+    for (e0, s0), (e1, s1) in pairwise(corners):
+        parts = np.linspace(0, 1, 2 * round(math.hypot(e1 - e0, s1 - s0)), endpoint=False)
+        places += [(e0 + float(p) * (e1 - e0), s0 + float(p) * (s1 - s0)) for p in parts]
+    return [*places, corners[-1]]
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+@pytest.mark.parametrize("local", LOCAL_PLANNERS)
+@pytest.mark.parametrize("kind", ["ugv", "auv"])
+@pytest.mark.parametrize("inset_m", [-0.3, 0.0, 0.2])
+def test_a_plan_along_the_rim_is_driven_inside_it(
+    islands: dict[str, Path], tmp_path: Path, kind: str, local: str, inset_m: float, seed: int
+) -> None:
+    places = around(inset_m)
+    plan_path = straight(tmp_path / "p.json", *places)
+    found = drive(plan_path, islands[kind], tmp_path / "d.jsonl", local=local, seed=seed)
+    assert (found.end, found.collisions, found.interventions) == ("arrived", 0, 0)
+    said = [note for note in found.notes if "places" in note]
+    assert re.fullmatch(rf"(\d+) of {len(places) - 1} places lie at the rim of the survey: moved inside", said[0])
+    assert len(said) == 1
+    assert math.dist(found.place, map_xy(*places[-1])) < 1.4
+
+
+def course_of(path: Path, site: Site, cell_m: float, *places: tuple[float, float]) -> tuple[np.ndarray, list[str]]:
+    plan = read_plan(straight(path, *places, cell_m=cell_m))
+    course, notes = stage._course(plan, path, site, UGV, None)
+    return course.points, notes
+
+
+def test_places_at_the_rim_are_moved_to_the_nearest_inside(tmp_path: Path) -> None:
+    seen = np.ones((ROWS, COLS), np.bool_)
+    seen[40:60, 60:80] = False  # from (6, 4) to (8, 6)
+    site = ground_site(np.zeros((ROWS, COLS), np.bool_), seen=seen)
+    places = [(2.0, 2.0), (5.8, 5.0), (6.2, 4.3), (7.0, 3.9), (9.0, 5.0), (7.0, 5.0), (13.9, 0.1), (-0.4, 5.0)]
+    points, notes = course_of(tmp_path / "p.json", site, 1.0, *places)
+    room = rim_distance(site)
+    for east, south in points:
+        assert room[site.pixel(east, south)] >= UGV.radius_m
+    # (7, 5) is a metre from any ground that was seen, and more from where the robot has room.
+    kept = [place for place in places if place != (7.0, 5.0)]
+    assert len(points) == len(kept)
+    assert notes == [
+        "5 of 7 places lie at the rim of the survey: moved inside",
+        "1 of 7 places lie off the survey: left out",
+    ]
+    inside = inside_rim(site, UGV.radius_m)
+    ends = np.argwhere(inside) * 0.1 + 0.05
+    for point, place in zip(points, kept, strict=True):
+        if site.is_seen(*place) and inside[site.pixel(*place)]:
+            assert tuple(point) == pytest.approx(place, abs=1e-6)
+        else:
+            away = np.hypot(ends[:, 1] - place[0], ends[:, 0] - place[1])
+            assert math.dist(point, place) == pytest.approx(away.min(), abs=1e-3)
+            assert math.dist(point, place) <= 1.0
+    # With larger cells it is not too far.
+    assert course_of(tmp_path / "q.json", site, 2.0, *places)[1] == [
+        "6 of 7 places lie at the rim of the survey: moved inside"
+    ]
+    # With smaller ones others are, and where nothing is left the robot stays.
+    points, notes = course_of(tmp_path / "r.json", site, 0.25, (2.0, 2.0), (7.0, 5.0))
+    assert len(points) == 1
+    assert notes == ["1 of 1 places lie off the survey: left out"]
+
+
+def test_a_plan_within_the_survey_is_driven_as_it_is(tmp_path: Path) -> None:
+    site = ground_site(np.zeros((ROWS, COLS), np.bool_))
+    places = [(2.0, 2.0), (4.03, 2.01), (12.0, 9.0)]
+    points, notes = course_of(tmp_path / "p.json", site, 1.0, *places)
+    np.testing.assert_allclose(points, places, atol=1e-6)
+    assert notes == []
+
+
+@pytest.mark.parametrize("pixel_m", [0.05, 0.1, 0.3])
+def test_ground_inside_the_rim_is_ground_that_the_expert_enters(pixel_m: float) -> None:
+    seen = np.random.default_rng(0).random((20, 27)) > 0.03
+    seen = np.kron(seen, np.ones((5, 5))).astype(np.bool_)
+    site = ground_site(np.zeros(seen.shape, np.bool_), seen=seen, pixel_m=pixel_m)
+    inside, costs = inside_rim(site, 0.3), cost_map(site, 0.3)
+    assert 0 < inside.sum() < seen.sum()
+    assert (rim_distance(site)[inside] >= 0.3).all()
+    for row, col in np.ndindex(seen.shape):
+        place = ((col + 0.5) * site.pixel_m, (row + 0.5) * site.pixel_m)
+        assert inside[row, col] == costs.passable(*place)
 
 
 def test_a_plan_in_another_crs_is_laid_on_the_site(world: Path, tmp_path: Path) -> None:

@@ -16,7 +16,7 @@ from world_files import GRASS, ORIGIN, SCALE, WALL, chequers, place_of, put_trut
 
 from hrt_cli.errors import InputError
 from hrt_cli.raster.grid import Grid
-from hrt_cli.world.site import UNKNOWN, load_site, site_files, upright
+from hrt_cli.world.site import SLIPS_FROM, STEEPEST, STEP_M, STEP_REACH_M, UNKNOWN, load_site, site_files, upright
 
 REAL = Path(__file__).parents[2].parent / "shared" / "data" / "brighton_beach"
 FLAT = np.full((80, 100), 10.0, np.float32)
@@ -110,16 +110,55 @@ def test_drivability_obstacles_target_and_water(tmp_path: Path) -> None:
     assert site.clearance_m[40, 20] == pytest.approx(3.0, rel=1e-4)
 
 
-def test_tall_things_are_obstacles_and_slopes_slow_down(tmp_path: Path) -> None:
+@pytest.mark.parametrize("climb", [0.2, 0.3, 0.43])
+def test_tall_things_are_obstacles_and_slopes_slow_down(tmp_path: Path, climb: float) -> None:
     _row, col = np.mgrid[:150, :150]
-    surface = (0.02 * col).astype(np.float32)  # 20 %
+    surface = (climb * 0.1 * col).astype(np.float32)
     box = np.s_[70:80, 70:80]
     surface[box] += np.float32(1.0)
     site = load_site(put_world(tmp_path / "w", surface))
     assert site.obstacle[box].mean() > 0.9
-    assert site.obstacle.sum() < 180
-    assert 0.6 < np.median(site.speed_factor) < 0.97
+    # The box, and the foot of its walls, up to the two pixels away from which they are a step.
+    around = np.zeros(surface.shape, np.bool_)
+    around[68:82, 68:82] = True
+    assert not (site.obstacle & ~around).any()
+    assert np.median(site.speed_factor) == pytest.approx(1.0, abs=0.01)
+    steep = load_site(put_world(tmp_path / "steep", (0.58 * 0.1 * col).astype(np.float32)))
+    middle = steep.speed_factor[40:110, 60:90]
+    assert np.median(middle) == pytest.approx((STEEPEST - 0.58) / (STEEPEST - SLIPS_FROM), abs=0.02)
     assert (site.ground_m <= site.surface_m + 1e-6).all()
+
+
+@pytest.mark.parametrize("pixel_m", [0.05, 0.1])
+@pytest.mark.parametrize(
+    ("kerb_m", "climb", "stops"),
+    [(0.4, 0.0, True), (0.4, 0.3, True), (STEP_M + 0.05, 0.0, True), (STEP_M - 0.05, 0.0, False), (0.15, 0.3, False),
+     (0.0, 0.3, False)],
+)  # fmt: skip
+def test_a_step_is_an_obstacle_and_a_slope_is_none(
+    tmp_path: Path, pixel_m: float, kerb_m: float, climb: float, stops: bool
+) -> None:
+    """A kerb in the middle of a slope, wider than anything that stands on the ground."""
+    rows, cols = round(3 / pixel_m), round(30 / pixel_m)
+    surface = np.broadcast_to(climb * pixel_m * np.arange(rows)[:, None], (rows, cols)).copy()
+    surface[:, cols // 2 :] += kerb_m
+    site = load_site(put_world(tmp_path / "w", surface, pixel_m=pixel_m))
+    near = np.zeros(cols, np.bool_)
+    reach = math.ceil(STEP_REACH_M / 2 / pixel_m)
+    near[cols // 2 - reach : cols // 2 + reach] = True
+    assert not site.obstacle[:, ~near].any()
+    if stops:
+        assert site.obstacle[:, cols // 2 - 1 : cols // 2 + 1].all()
+    else:
+        assert not site.obstacle.any()
+
+
+def test_where_no_height_is_known_there_is_no_step(tmp_path: Path) -> None:
+    surface = FLAT.copy()
+    surface[:, 50:] += np.float32(1.0)
+    surface[:, 40:60] = np.nan
+    site = load_site(put_world(tmp_path / "w", surface))
+    assert not site.obstacle[:, 41:59].any()
 
 
 def test_gaps_in_heights_and_colours_are_not_seen(tmp_path: Path) -> None:

@@ -10,7 +10,7 @@ from hypothesis.extra import numpy as hnp
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from hrt_cli.world.terrain import bare_ground, clearance, fill, slope
+from hrt_cli.world.terrain import bare_ground, clearance, fill, rise, slope
 
 PIXEL_M = 0.1
 
@@ -154,6 +154,43 @@ def test_the_slope_of_a_plane(east: float, south: float) -> None:
     found = slope(plane(60, 80, east=east, south=south), PIXEL_M)
     assert found.dtype == np.float32
     np.testing.assert_allclose(edges_off(found, 16), np.hypot(east, south), atol=2e-3)
+
+
+@pytest.mark.parametrize("reach_m", [0.2, 0.3, 0.6])
+@pytest.mark.parametrize(("east", "south"), [(0.0, 0.0), (0.3, 0.0), (0.0, -0.5)])
+def test_the_rise_of_a_plane_is_its_slope_times_the_reach(reach_m: float, east: float, south: float) -> None:
+    found = rise(plane(60, 80, east=east, south=south), PIXEL_M, reach_m)
+    assert found.dtype == np.float32
+    across = 2 * max(1, round(reach_m / 2 / PIXEL_M)) * PIXEL_M
+    np.testing.assert_allclose(edges_off(found, 8), (abs(east) + abs(south)) * across, atol=2e-3)
+
+
+@pytest.mark.parametrize("axis", [0, 1])
+def test_the_rise_of_a_kerb_is_its_height_within_reach_of_it(axis: int) -> None:
+    surface = np.full((40, 40), 3.0, np.float32)
+    surface[:, 20:] += np.float32(0.4)
+    expected = np.zeros((40, 40))
+    expected[:, 18:22] = 0.4  # two pixels of a decimetre on either side
+    turned = surface if axis else surface.T
+    np.testing.assert_allclose(rise(turned, 0.1, 0.4), expected if axis else expected.T, atol=1e-6)
+    np.testing.assert_allclose(rise(-turned, 0.1, 0.4), expected if axis else expected.T, atol=1e-6)
+
+
+@settings(max_examples=30)
+@given(rows=st.integers(1, 20), cols=st.integers(1, 20), reach=st.integers(1, 4), seed=st.integers(0, 99))
+def test_the_rise_is_what_the_pixels_within_reach_span(rows: int, cols: int, reach: int, seed: int) -> None:
+    surface = np.random.default_rng(seed).normal(size=(rows, cols)).astype(np.float32)
+    found = rise(surface, 1.0, 2.0 * reach)
+    most = ndimage.maximum_filter(surface, 2 * reach + 1, mode="reflect")
+    least = ndimage.minimum_filter(surface, 2 * reach + 1, mode="reflect")
+    line = np.maximum(
+        ndimage.maximum_filter1d(surface, 2 * reach + 1, axis=0, mode="reflect")
+        - ndimage.minimum_filter1d(surface, 2 * reach + 1, axis=0, mode="reflect"),
+        ndimage.maximum_filter1d(surface, 2 * reach + 1, axis=1, mode="reflect")
+        - ndimage.minimum_filter1d(surface, 2 * reach + 1, axis=1, mode="reflect"),
+    )
+    assert (found <= most - least + 1e-6).all(), "a disc lies in its square"
+    assert (found >= line - 1e-6).all(), "and holds its diameters"
 
 
 @pytest.mark.parametrize("shape", [(1, 1), (1, 9), (9, 1)])
