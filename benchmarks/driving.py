@@ -94,7 +94,8 @@ def distance_m(drive: Drive) -> float:
 
 def courses(folders: list[Path], seeds: int) -> None:
     print(
-        f"{'site':<18}{'seed':>5}  {'who':<9}{'end':<12}{'driven':>9}{'of course':>11}{'collisions':>11}{'off the survey':>16}"
+        f"{'site':<18}{'seed':>5}  {'who':<9}{'end':<12}{'driven':>9}{'of course':>11}{'collisions':>11}"
+        f"{'off the survey':>16}"
     )
     for folder in folders:
         site = load_site(folder)

@@ -182,7 +182,7 @@ def table(outcomes: list[Outcome]) -> None:
     for robot in ROBOTS[1:]:
         each = [by[site, seed, "feedback"].score / by[site, seed, robot].score for site, seed in runs]
         print(
-            f"score: {total['feedback'] / total[robot]:.2f} x {robot} in all, {min(each):.2f} to {max(each):.2f} x by run"
+            f"score: {total['feedback'] / total[robot]:.2f} x {robot} in all, {min(each):.2f} to {max(each):.2f} by run"
         )
 
 

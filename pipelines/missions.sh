@@ -17,7 +17,7 @@ wildfire() {
   hrt feedback "$out/scout.jsonl" --classes "$out/classes.tif" -o "$out/scores.json" --dsm "$out/site/dsm.tif"
   # Then heat counts: nothing below 45 degrees Celsius, all of it from 90 on; a little goes for good ground.
   hrt scoremap "$out/classes.tif" -o "$out/scoremap.tif" --scores "$out/scores.json" --no-go-below 0.2 \
-    --no-go-share 0.15 --interest "$out/site/thermal.tif" --interest-range 45,90 --interest-weight 0.97 \
+    --no-go-share 0.3 --interest "$out/site/thermal.tif" --interest-range 45,90 --interest-weight 0.97 \
     --figure "$out/scoremap.png" --backdrop "$out/site/ortho.tif"
   hrt plan "$out/scoremap.tif" -o "$out/plan.json" --visited "$out/scout.jsonl" --budget 400m \
     --figure "$out/plan.png" --backdrop "$out/site/ortho.tif"
