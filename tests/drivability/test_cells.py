@@ -231,3 +231,26 @@ def test_the_command_refuses_a_share_without_a_limit(tmp_path, share: str) -> No
     done = CliRunner().invoke(cli, words)
     assert done.exit_code == 2
     assert "--no-go-share says how much of a cell --no-go-below may hold for: give both" in done.stderr
+
+
+def test_a_margin_keeps_away_from_no_go_cells_and_not_from_what_was_not_seen() -> None:
+    counts = np.zeros((2, 7, 7), np.int32)
+    counts[0] = 100
+    counts[:, 3, 3] = 0, 100
+    counts[:, 0, 0] = 0
+    covered = Cover(counts, 100.0, Grid(7, 7, Affine(2, 0, 0, 0, -2, 0), None))
+    scores = {0: ClassScore.expecting(0.9), 1: ClassScore.expecting(0.1)}
+    rows, cols = np.mgrid[:7, :7]
+    for margin_m in (0.0, 1.9, 2.0, 3.0, 4.5):
+        score, _ = score_cells(covered, scores, no_go_below=0.3, margin_m=margin_m)
+        # Without a CRS a pixel is a metre, whatever its transform says.
+        expected = np.hypot(rows - 3, cols - 3) <= max(margin_m, 0.0) + 1e-9
+        expected[0, 0] = True
+        np.testing.assert_array_equal(np.isnan(score), expected)
+
+
+def test_the_command_refuses_a_margin_without_a_limit(tmp_path) -> None:
+    words = ["scoremap", str(tmp_path / "c.tif"), "-o", str(tmp_path / "s.tif"), "--margin", "1"]
+    done = CliRunner().invoke(cli, words)
+    assert done.exit_code == 2
+    assert "--margin keeps away from what --no-go-below bars: give both" in done.stderr

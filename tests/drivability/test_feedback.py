@@ -22,6 +22,7 @@ from hrt_cli.drivability.episodes import REACH_M
 from hrt_cli.drivability.feedback import (
     CONTACT_RADIUS_M,
     SPOT_M,
+    UNTRIED_M,
     Curve,
     Evidence,
     FeedbackSettings,
@@ -381,6 +382,28 @@ def test_spots_share_by_how_often_they_were_met() -> None:
     shared = settled([evidence([(1, 6.0, 0), (0, 4.0, -1), (1, 6.0, 2)]), evidence([(1, 9.0, 0), (1, 3.0, 0)])])
     assert shared[0].weight_m.tolist() == pytest.approx([2.0, 4.0, 6.0])
     assert shared[1].weight_m.tolist() == pytest.approx([3.0, 1.0])
+
+
+def test_ground_that_is_driven_over_every_day_is_not_blamed_for_what_is_met_for_the_first_time() -> None:
+    """Blame as share squared over metres made good and two more, in numbers worked out by hand."""
+
+    def drive(way: list[tuple[int, float, float]], ahead: dict[int, float]) -> Evidence:
+        rows = [(k, w, y, -1) for k, w, y in way] + [(k, w, 0.0, 0) for k, w in ahead.items()]
+        class_id, weight, progress, episode = (np.array(column) for column in zip(*rows, strict=True))
+        spots = [(0, 0)] if ahead else []
+        return Evidence(class_id, weight.astype(float), progress, episode, spots, 0.0, 0.0, len(spots), None, 0)
+
+    # 60 % of the ground ahead is class 0, of which 48 m were made good here and 50 m in another drive; 40 % is new.
+    met = drive([(0, 60.0, 0.8)], {0: 3.0, 1: 2.0})
+    other = drive([(0, 50.0, 1.0)], {})
+    blamed = settled([met, other])[0].weight_m[1:]
+    parts = np.array([0.6**2 / (98 + UNTRIED_M), 0.4**2 / UNTRIED_M])
+    assert blamed == pytest.approx(5.0 * parts / parts.sum())
+    assert blamed[1] / blamed[0] > 20
+    # Of two that were never met the larger one takes more than its share, and alone a class takes all.
+    alone = settled([drive([], {0: 4.0, 1: 1.0})])[0].weight_m
+    assert alone == pytest.approx([5.0 * 16 / 17, 5.0 / 17])
+    assert settled([drive([(0, 500.0, 1.0)], {0: 5.0})])[0].weight_m[1:] == pytest.approx([5.0])
 
 
 @pytest.fixture(scope="module")

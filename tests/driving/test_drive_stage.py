@@ -113,6 +113,10 @@ def test_a_robot_that_is_stuck_says_so_at_the_end(world: Path, tmp_path: Path) -
     assert found.collisions >= 1
     assert sum(event == "collision" for _, event in log.events) == found.collisions
     assert map_xy(4.5, 0)[0] < log.place[-1, 0] < map_xy(6.5, 0)[0]
+    # Going on, it has backed up: by less than half a metre, give or take the errors of two fixes.
+    drive(straight(tmp_path / "q.json", (2.0, 5.0), (2.0, 8.0)), world, tmp_path / "e.jsonl", after=output)
+    back = log.place[-1, 0] - read_drive_log(tmp_path / "e.jsonl").place[0, 0]
+    assert -0.2 < back < 1.0
 
 
 def test_time_is_the_budget_of_a_plan_in_minutes(world: Path, tmp_path: Path) -> None:

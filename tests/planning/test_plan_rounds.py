@@ -161,9 +161,9 @@ def test_a_robot_on_ground_that_became_no_go_goes_back_on_its_own_track(tmp_path
     second = log_of(tmp_path / "2.jsonl", [(3, 4), (3, 5)])
     done = plan(scoremap, "-o", output, "--budget", 20, "--visited", log, "--visited", second)
     assert read_plan(output).start == (3, 3)
-    refused = hrt("plan", scoremap, "-o", tmp_path / "q.json", "--budget", 20, "--visited", second)
-    assert "ends in cell 3,5, which is no-go" in str(refused.exception)
-    assert "--start" in str(refused.exception)
+    alone = plan(scoremap, "-o", tmp_path / "q.json", "--budget", 20, "--visited", second)
+    assert "the robot has been on no other ground, and the plan starts there" in alone.stderr
+    assert read_plan(tmp_path / "q.json").start == (3, 5)
 
 
 def test_the_cell_that_a_robot_goes_back_to_is_not_blocked(tmp_path: Path) -> None:
@@ -236,3 +236,27 @@ def test_a_robot_that_has_to_end_elsewhere_does_not_stay(scoremap: Path, tmp_pat
     assert not (tmp_path / "p.json").exists()
     assert hrt(*words, "--return-home").exit_code == 0
     assert hrt(*words, "--end", "cell:2,9", "--overwrite").exit_code == 0
+
+
+def test_standstills_near_one_another_block_ever_wider(scoremap: Path, tmp_path: Path) -> None:
+    """Three times before the same thing, and once far from it; what was driven through stays open."""
+    ways = [[(7, 2), (7, 3), (7, 4), (7, 5)], [(6, 3), (6, 4), (6, 5)], [(8, 3), (8, 4), (8, 5)], [(1, 13), (1, 14)]]
+    logs = [log_of(tmp_path / f"{k}.jsonl", way, (len(way) - 1,)) for k, way in enumerate(ways)]
+    driven = {cell for way in ways for cell in way}
+    # The robot stands in the last cell of each and was heading east: the cell ahead stopped it.
+    hits = [(7, 6), (6, 6), (8, 6), (1, 15)]
+    for count in range(1, 5):
+        found = read_drives(logs[:count], loaded(scoremap))
+        expected = {hits[0]}
+        for number, (row, col) in enumerate(hits[:count]):
+            reach = min(number, 2) if number < 3 else 0
+            disc = {(r, c) for r in range(14) for c in range(18) if np.hypot(r - row, c - col) <= reach}
+            expected |= (disc - driven) | {(row, col)}
+        assert set(found.blocked) == expected
+
+
+def test_a_heading_tells_what_stopped_a_robot_that_never_moved(scoremap: Path, tmp_path: Path) -> None:
+    log = log_of(tmp_path / "1.jsonl", [(5, 5), (5, 5)], (1,))
+    assert read_drives([log], loaded(scoremap)).blocked == []
+    log.write_text(log.read_text().replace('"event"', '"heading_deg": 90.0, "event"'))
+    assert read_drives([log], loaded(scoremap)).blocked == [(5, 6)]
