@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from hrt_cli.artifacts import plan as artifact
-from hrt_cli.planning.problem import Plan, Problem, TeamPlan
+from hrt_cli.planning.problem import Plan, TeamPlan
 from hrt_cli.planning.request import PlanRequest, start_cell
 from hrt_cli.planning.resume import Driven
 from hrt_cli.raster.grid import Grid
@@ -17,13 +17,14 @@ from hrt_cli.raster.scoremap import Scoremap
 
 def plan_document(
     found: Plan,
-    problem: Problem,
+    budget_cells: float,
+    end: artifact.Cell | None,
     scoremap: Scoremap,
     request: PlanRequest,
     collected: list[artifact.Cell],
     blocked: list[artifact.Cell],
 ) -> artifact.PlanDocument:
-    """Return the plan of one robot."""
+    """Return the plan of one robot that had `budget_cells` left, and had to end in `end` if that is given."""
     grid = scoremap.grid
     cells = [(int(row), int(col)) for row, col in found.cells]
     rows, cols = found.cells[:, 0] + 0.5, found.cells[:, 1] + 0.5
@@ -45,10 +46,10 @@ def plan_document(
         gamma=request.gamma,
         connectivity=request.connectivity,
         return_home=request.return_home,
-        budget=artifact.Budget(value=request.budget.value, unit=request.budget.unit, cells=problem.budget.limit),
+        budget=artifact.Budget(value=request.budget.value, unit=request.budget.unit, cells=budget_cells),
         grid=_grid(grid, scoremap.cell_size_m),
         start=cells[0],
-        end=problem.end,
+        end=end,
         collected=collected,
         blocked=blocked,
         steps=len(cells) - 1,
@@ -81,38 +82,21 @@ def staying_document(scoremap: Scoremap, request: PlanRequest, driven: list[Driv
         return None
     collected = sorted({(int(row), int(col)) for each in driven for row, col in each.cells})
     score = 0.0 if start in collected else float(np.nan_to_num(scoremap.score[start]))
-    row, col = np.array([start[0] + 0.5]), np.array([start[1] + 0.5])
-    x, y = (float(v[0]) for v in scoremap.grid.xy(row, col))
-    lonlat = None
-    if scoremap.grid.crs is not None:
-        lon, lat = scoremap.grid.lonlat(x, y)
-        lonlat = [(round(float(lon[0]), 10), round(float(lat[0]), 10))]
-    return artifact.PlanDocument(
-        method="stay",
-        seed=request.seed,
-        objective=request.objective,
-        gamma=request.gamma,
-        connectivity=request.connectivity,
-        return_home=request.return_home,
-        budget=artifact.Budget(value=request.budget.value, unit=request.budget.unit, cells=0.0),
-        grid=_grid(scoremap.grid, scoremap.cell_size_m),
-        start=start,
-        end=end,
-        collected=collected,
-        blocked=sorted({cell for each in driven for cell in each.blocked}),
-        steps=0,
+    discounted = request.objective == "discounted"
+    stays = Plan(
+        cells=np.array([start], np.int32),
         score=score,
         discounted_score=score,
         upper_bound=score,
         gap=0.0,
-        length_m=0.0,
-        speed_m_s=request.speed_m_s,
-        time_s=0.0,
-        waypoints=waypoints_of([start], [(x, y)], lonlat),
-        cells=[start],
-        xy=[(x, y)],
-        lonlat=lonlat,
+        discounted_upper_bound=score if discounted else None,
+        discounted_gap=0.0 if discounted else None,
+        method="stay",
+        seconds=0.0,
+        evaluations=0,
     )
+    blocked = sorted({cell for each in driven for cell in each.blocked})
+    return plan_document(stays, 0.0, end, scoremap, request, collected, blocked)
 
 
 def team_document(

@@ -23,7 +23,7 @@ from hrt_cli.progress import Progress, silent
 from hrt_cli.raster.scoremap import Scoremap, read_scoremap
 
 STAGE = "plan"
-STAGE_VERSION = 3
+STAGE_VERSION = 4
 
 
 @dataclass(frozen=True)
@@ -127,7 +127,7 @@ def plan_file(
     except ArgumentError as error:
         raise ArgumentError(f"{scoremap_path}: {error}") from error
     robots = [
-        plan_document(each, problem, scoremap, request, collected, blocked)
+        plan_document(each, problem.budget.limit, problem.end, scoremap, request, collected, blocked)
         for each, problem in zip(plans, problems, strict=True)
     ]
     for path, document in zip(files, robots, strict=True):
