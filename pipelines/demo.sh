@@ -6,7 +6,7 @@ hrt synth "$demo/site" --scene meadow --size 60 --seed 1 --overwrite
 hrt init "$demo" --overwrite
 # What an operator would write after a look at classes.png: how well the robot drives on each class.
 cp fixtures/demo-scores.json "$demo/scores.json"
-make --no-print-directory -C "$demo" ortho=site/ortho.tif classes=6 scores=scores.json no_go_below=0.2 no_go_share= budget=400
+make --no-print-directory -C "$demo" ortho=site/ortho.tif classes=6 scores=scores.json no_go_below=0.2 no_go_share= margin_m= budget=400
 echo
 hrt evaluate plan "$demo/out/scoremap.tif" "$demo/out/plan.json" --figure "$demo/out/rewards.png" --overwrite
 echo
