@@ -17,8 +17,11 @@ from hrt_cli.world.site import Site
 _TARGET_M = 1.3
 """How far ahead on the course the expert looks for its next place."""
 _REACHED_M = 0.35
+_DEAR, _LONGEST_SKIP_M = 8.0, 8.0
+"""Ground that costs more a metre (slower than an eighth, or along an obstacle) is gone round, if it is no wider."""
 _LONGEST_DETOUR_S = 150.0
 """Cost, in seconds at 1 m/s, beyond which it leaves a place out and goes for a later one."""
+_MUCH_DEARER = 2.0
 _REACH_CELLS = (5, 4, 3, 2, 1)
 """How far down its way it aims: the farthest of these that it can go straight to."""
 
@@ -74,19 +77,35 @@ class GroundExpert:
         """Take the next place on the course that can be reached, or say that there is none."""
         end = self._course.length_m
         at = self._course.ahead(self.along_m, _TARGET_M)
+        if self._cost(at) > _DEAR:
+            # Rather than through bad ground, go round it to where the course leaves it, if that is not far.
+            far = min(at + _LONGEST_SKIP_M, end)
+            beyond = next((m for m in np.arange(at, far, self._map.cell_m) if self._cost(float(m)) <= _DEAR), None)
+            if beyond is not None and self._take(float(beyond), pose):
+                return True
         reach = None
         while True:
-            place = self._course.point(at)
-            cell = self._map.cell(*place)
+            cell = self._map.cell(*self._course.point(at))
             if math.isfinite(self._map.cost[cell]) and (reach is None or math.isfinite(reach[cell])):
-                if self._search(cell, pose):
-                    self._target, self._target_m = place, at
+                if self._take(at, pose):
                     return True
                 if reach is None:  # rather than search from each of the places beyond, which may be thousands
                     reach = self._reach(pose)
             if at >= end:
                 return False
             at = min(at + self._map.cell_m, end)
+
+    def _cost(self, at: float) -> float:
+        """Return what a metre costs at a place on the course."""
+        return float(self._map.cost[self._map.cell(*self._course.point(at))])
+
+    def _take(self, at: float, pose: Pose) -> bool:
+        """Go for a place on the course if it can be reached."""
+        place = self._course.point(at)
+        if not self._search(self._map.cell(*place), pose):
+            return False
+        self._target, self._target_m = place, at
+        return True
 
     def _search(self, cell: tuple[int, int], pose: Pose) -> bool:
         """Find the ways to a cell, as far as the robot, or say that there is none from where it is."""
@@ -109,7 +128,9 @@ class GroundExpert:
         for cells in _REACH_CELLS:
             row, col = follow(self._to_go, self._map.cost, here[0], here[1], cells)
             east, south = (col + 0.5) * cell_m, (row + 0.5) * cell_m
-            if cells == 1 or is_clear(self._map.cost, cell_m, pose.east_m, pose.south_m, east, south):
+            # Straight on, but not across worse ground than the way leads over.
+            dearest = _MUCH_DEARER * max(self._map.cost[here], self._map.cost[row, col])
+            if cells == 1 or is_clear(self._map.cost, cell_m, pose.east_m, pose.south_m, east, south, dearest):
                 return east, south
         return self._target
 

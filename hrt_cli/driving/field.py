@@ -167,9 +167,18 @@ def follow(to_go: NDArray[np.float32], cost: NDArray[np.float32], row: int, col:
 
 @kernel
 def is_clear(
-    cost: NDArray[np.float32], cell_m: float, east0: float, south0: float, east1: float, south1: float
+    cost: NDArray[np.float32],
+    cell_m: float,
+    east0: float,
+    south0: float,
+    east1: float,
+    south1: float,
+    dearest: float = math.inf,
 ) -> bool:
-    """Whether the straight way between two places stays on cells that may be entered, but for the one it starts in."""
+    """Whether the straight way between two places stays on cells that may be entered and cost at most `dearest`.
+
+    The one that it starts in does not count.
+    """
     length = math.hypot(east1 - east0, south1 - south0)
     count = int(length / (0.25 * cell_m)) + 1
     rows, cols = cost.shape
@@ -180,6 +189,6 @@ def is_clear(
         c = math.floor((east0 + part * (east1 - east0)) / cell_m)
         if r == first_r and c == first_c:
             continue
-        if r < 0 or c < 0 or r >= rows or c >= cols or not np.isfinite(cost[r, c]):
+        if r < 0 or c < 0 or r >= rows or c >= cols or not (np.isfinite(cost[r, c]) and cost[r, c] <= dearest):
             return False
     return True

@@ -27,7 +27,7 @@ from hrt_cli.raster.track import points_on
 from hrt_cli.world.site import Site, load_site, site_files
 
 STAGE = "drive"
-STAGE_VERSION = 2
+STAGE_VERSION = 3
 
 LOCAL_PLANNERS = ("pursuit", "expert")
 
