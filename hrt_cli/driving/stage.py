@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from hrt_cli.artifacts.carriers import json_provenance
 from hrt_cli.artifacts.drivelog import Header, Robot, drive_provenance, publish_drive_log, read_drive_log
 from hrt_cli.artifacts.plan import PlanDocument, read_plan
+from hrt_cli.artifacts.publish import output_error
 from hrt_cli.artifacts.stage import REFUSE, Existing, ReadProvenance, begin
 from hrt_cli.driving.course import Course
 from hrt_cli.driving.expert import GroundExpert, WaterExpert
@@ -128,7 +129,10 @@ def drive_file(
     if record is not None:
         outputs[record / ABOUT] = json_provenance
         parameters["record"] = True
-        record.mkdir(parents=True, exist_ok=True)
+        try:
+            record.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise output_error(record, error) from error
     job = begin(STAGE, STAGE_VERSION, inputs=inputs, parameters=parameters, outputs=outputs, existing=existing)
     plan = read_plan(plan_path)
     notes: list[str] = []

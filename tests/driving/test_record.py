@@ -239,3 +239,12 @@ def test_the_command(world: Path, plan: Path, tmp_path: Path) -> None:
     for output in ("rec/recording.json", "d.jsonl"):
         checked = CliRunner().invoke(cli, ["verify", str(tmp_path / output)])
         assert checked.exit_code == 0, checked.output
+
+
+def test_a_file_in_the_place_of_the_folder_is_refused(world: Path, plan: Path, tmp_path: Path) -> None:
+    taken = tmp_path / "taken"
+    taken.write_text("mine")
+    with pytest.raises(OutputError, match=r"taken: cannot be written: File exists"):
+        drive_file(plan, world, tmp_path / "d.jsonl", DriveRequest(), record=taken)
+    assert taken.read_text() == "mine"
+    assert not (tmp_path / "d.jsonl").exists()
