@@ -41,7 +41,7 @@ def test_wildfire(tmp_path: Path) -> None:
     found = figures_of("wildfire", tmp_path)
     assert found["collisions"] == 0
     plan = json.loads((tmp_path / "wildfire" / "plan.json").read_text())
-    assert found["score_collected"] > 0.8 * plan["score"]
+    assert found["score_collected"] > 0.7 * plan["score"]
     # Most of the hot spots of the site were driven over or passed within two metres.
     world = json.loads((tmp_path / "wildfire" / "site" / "world.json").read_text())
     lines = (tmp_path / "wildfire" / "drive.jsonl").read_text().splitlines()[1:]
