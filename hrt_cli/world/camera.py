@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from hrt_cli.world import raymarch
+from hrt_cli.world import develop, raymarch
 from hrt_cli.world.site import UNKNOWN, Site
 
 Rgb = tuple[float, float, float]
@@ -290,8 +290,8 @@ class Camera:
         )  # fmt: skip
         shape = (lens.height, lens.width)
         frame = Frame(np.empty((*shape, 3), np.uint8), np.empty(shape, np.uint8), np.empty(shape, np.float32))
-        raymarch.develop(
-            frame.rgb, frame.classes, frame.range_m, np.empty((raymarch.LINE_ROWS, lens.width), np.float32), table,
+        develop.develop(
+            frame.rgb, frame.classes, frame.range_m, np.empty((develop.LINE_ROWS, lens.width), np.float32), table,
             axes.astype(np.float32), np.array([math.sin(heading_rad), math.cos(heading_rad), first], np.float32), focal,
             made.colours, made.ids, made.levels, place.astype(np.float32), self._light,
             np.array([1.0 / focal, bin_rad, per_m, lowest + 0.5, 1.0 / azimuth_rad, 1.0 / _ELEVATION_PX], np.float32),
