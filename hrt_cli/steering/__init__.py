@@ -1,0 +1,1 @@
+"""The local planner that sees: a network from the forward camera to discretised steering."""

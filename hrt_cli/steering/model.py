@@ -1,0 +1,145 @@
+"""A steering model in a file: safetensors, with configuration and provenance in its header.
+
+All metadata is one JSON string under the key `hrt`: the safetensors library keeps several keys in no fixed order, and
+equal models must be equal bytes.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from pathlib import Path
+from typing import Any, Literal
+
+import torch
+from pydantic import ValidationError
+from safetensors import SafetensorError, safe_open
+from safetensors.torch import save_file
+from torch import Tensor
+
+from hrt_cli.artifacts.carriers import checked, parse_provenance
+from hrt_cli.artifacts.jsonio import Document, canonical, describe, parse_strict
+from hrt_cli.artifacts.provenance import Provenance
+from hrt_cli.artifacts.publish import publishing
+from hrt_cli.errors import InputError
+from hrt_cli.steering.network import SteeringConfig, SteeringNet
+
+FORMAT, VERSION = "hrt-steering", 1
+_KEY = "hrt"
+MAX_BYTES = 2 * 2**30
+
+
+class _Header(Document):
+    format: Literal["hrt-steering"]
+    version: int
+    config: SteeringConfig
+    provenance: Provenance
+
+
+def publish_model(target: Path, net: SteeringNet, config: SteeringConfig, provenance: Provenance) -> None:
+    """Publish a network's weights with its configuration.
+
+    Parameters
+    ----------
+    config : SteeringConfig
+        What to write as the network's: it may say more than `net.config`, such as temperatures.
+    """
+    tensors = {name: tensor.detach().cpu().contiguous() for name, tensor in net.state_dict().items()}
+    publish_tensors(target, tensors, {"format": FORMAT, "version": VERSION, "config": _plain(config)}, provenance)
+
+
+def read_model(path: Path) -> SteeringNet:
+    """Read a steering model, ready to predict on the CPU.
+
+    Raises
+    ------
+    InputError
+        It is absent, no steering model, of a later version, damaged, or its weights do not fit its configuration or
+        are not finite.
+    """
+    tensors, document, provenance = read_tensors(path)
+    if document.get("format") != FORMAT:
+        raise InputError(path, "is not a steering model of hrt")
+    version = document.get("version")
+    if isinstance(version, int) and version > VERSION:
+        raise InputError(path, f"is of version {version}; this hrt reads versions up to {VERSION}", "update hrt")
+    try:
+        header = _Header.model_validate_json(
+            json.dumps(document | {"provenance": provenance.model_dump(mode="json") if provenance else None})
+        )
+    except ValidationError as error:
+        raise InputError(path, describe(error)) from error
+    net = SteeringNet(header.config)
+    wanted = net.state_dict()
+    for name in sorted(set(wanted) ^ set(tensors)):
+        raise InputError(path, f"{'lacks' if name in wanted else 'holds the unknown'} weights {name!r}")
+    for name, tensor in tensors.items():
+        if tensor.shape != wanted[name].shape or tensor.dtype != wanted[name].dtype:
+            raise InputError(path, f"its weights {name!r} are not of the shape and type that its configuration asks")
+        if not torch.isfinite(tensor).all():
+            raise InputError(path, f"its weights {name!r} are not all finite")
+    net.load_state_dict(tensors)
+    return net.eval()
+
+
+def model_provenance(path: Path) -> Provenance | None:
+    """Read the provenance of a steering model and check its content against it."""
+    return read_tensors(path)[2]
+
+
+def publish_tensors(target: Path, tensors: dict[str, Tensor], document: dict[str, Any], provenance: Provenance) -> None:
+    """Publish tensors and a JSON document as safetensors with their provenance.
+
+    Parameters
+    ----------
+    tensors : dict of str to Tensor
+        Contiguous, on the CPU.
+    """
+    stamped = provenance.with_content(_content_sha256(tensors, document))
+    text = canonical({**document, "provenance": stamped.model_dump(mode="json")}).decode()
+    with publishing(target, model_provenance) as draft:
+        save_file(tensors, draft, metadata={_KEY: text})
+
+
+def read_tensors(path: Path) -> tuple[dict[str, Tensor], dict[str, Any], Provenance | None]:
+    """Read what `publish_tensors` wrote: tensors, document, and provenance, against which both are checked.
+
+    Raises
+    ------
+    InputError
+        It is absent or no such file, or not as it was written.
+    """
+    if not path.is_file():
+        raise InputError(path, "no such file")
+    if path.stat().st_size > MAX_BYTES:
+        raise InputError(path, f"is larger than the {MAX_BYTES} bytes that are read")
+    try:
+        with safe_open(path, framework="pt", device="cpu") as file:
+            text = (file.metadata() or {}).get(_KEY)
+            tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 - not a mapping
+    except (SafetensorError, OSError, ValueError, RuntimeError) as error:
+        raise InputError(path, "is no safetensors file, or a damaged one") from error
+    if text is None:
+        raise InputError(path, "was not written by hrt: its header holds no configuration")
+    document = parse_strict(path, text)
+    if not isinstance(document, dict):
+        raise InputError(path, "its header is damaged")
+    found = document.pop("provenance", None)
+    if found is None:
+        return tensors, document, None
+    provenance = parse_provenance(path, found)
+    return tensors, document, checked(path, provenance, _content_sha256(tensors, document))
+
+
+def _content_sha256(tensors: dict[str, Tensor], document: dict[str, Any]) -> str:
+    digest = hashlib.sha256(canonical(document))
+    for name in sorted(tensors):
+        tensor = tensors[name]
+        digest.update(canonical([name, str(tensor.dtype), list(tensor.shape)]))
+        digest.update(tensor.contiguous().view(-1).view(torch.uint8).numpy().tobytes())
+    return digest.hexdigest()
+
+
+def _plain(config: SteeringConfig) -> dict[str, Any]:
+    plain: dict[str, Any] = json.loads(config.model_dump_json())
+    return plain
