@@ -13,6 +13,7 @@ and for the layer that follows, with weights W and K inputs, the regulariser of 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import torch
 from torch import Tensor, nn
@@ -60,12 +61,12 @@ class ConcreteDropout(nn.Module):
         """Of the relaxation: the lower, the nearer the mask is to 0 or 1."""
         return SPATIAL_TEMPERATURE if self.spatial else DENSE_TEMPERATURE
 
-    def penalty(self, weights: list[Tensor], *, weight_decay: float, dropout_decay: float) -> Tensor:
+    def penalty(self, weights: Sequence[Tensor], *, weight_decay: float, dropout_decay: float) -> Tensor:
         """Return the regulariser for the layers that this one feeds, a scalar.
 
         Parameters
         ----------
-        weights : list of Tensor
+        weights : sequence of Tensor
             Of those layers. The optimiser must not decay them again.
         weight_decay, dropout_decay : float
             wd = l^2 / (2 N) and dd = 1 / N for a mean cross-entropy over N samples and a prior length scale l.
