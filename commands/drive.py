@@ -22,7 +22,7 @@ Example:
   hrt drive site/plan.json --world site -o site/drive.jsonl --local expert
 """
 )
-@click.argument("plan", type=opt.PATH)
+@click.argument("plan", type=opt.PATH, required=False)
 @click.option(
     "--world",
     type=opt.PATH,
@@ -31,10 +31,25 @@ Example:
 @opt.output_opt
 @click.option(
     "--local",
-    type=click.Choice(["pursuit", "expert"]),
+    type=click.Choice(["pursuit", "expert", "steer"]),
     default="pursuit",
     show_default=True,
-    help="Who steers between waypoints: pursuit follows the path and sees nothing; the expert sees the site as it is.",
+    help="Who steers between waypoints: pursuit follows the path and sees nothing, the expert sees the site as it is, "
+    "steer has a camera and a --model.",
+)
+@click.option("--model", type=opt.PATH, help="Steering model of --local steer (hrt train-steer).")
+@click.option(
+    "--roam",
+    "roam_m",
+    type=opt.FiniteFloat(1, 100_000),
+    help="Without a PLAN: drive so many metres between random places of the site (by --seed).",
+)
+@click.option(
+    "--disturb",
+    type=opt.FiniteFloat(0, 0.9),
+    default=0.0,
+    show_default=True,
+    help="Share of the time that the robot is pushed off its way: a --record then shows how to get back.",
 )
 @click.option(
     "--vehicle", type=click.Choice(["ugv", "auv"]), help="Default: auv where the site is under water, else ugv."
@@ -58,10 +73,13 @@ Example:
 @opt.existing_options
 @opt.console_options
 def drive(
-    plan: Path,
+    plan: Path | None,
     world: Path | None,
     output: Path,
     local: str,
+    model: Path | None,
+    roam_m: float | None,
+    disturb: float,
     vehicle: str | None,
     after: Path | None,
     record: Path | None,
@@ -73,16 +91,24 @@ def drive(
 ) -> None:
     """Drive PLAN on a site in simulation and log what the robot would have logged, never the truth.
 
-    The drive ends at the plan's end, when the robot is stuck, or when its time is over.
+    Without a PLAN it roams (--roam). The drive ends at the end of its way, when the robot is stuck, or when its time
+    is over.
     """
     if stay == (world is not None):
         raise click.UsageError("give the --world that the robot drives on, or say --stay: one of the two")
+    if (plan is None) == (roam_m is None):
+        raise click.UsageError("give a PLAN to drive, or --roam METRES: one of the two")
+    if plan is None and (stay or after):
+        raise click.UsageError("--stay and --after are of a PLAN")
+    if (local == "steer") != (model is not None):
+        raise click.UsageError("--local steer needs a --model, and no other takes one")
     from hrt_cli.driving.stage import DriveRequest, drive_file, stay_file
 
     if world is None:
+        assert plan is not None
         done = stay_file(plan, output, after=after, existing=existing)
     else:
-        request = DriveRequest(local=local, vehicle=vehicle, time_limit_s=time_limit_s, seed=seed)
+        request = DriveRequest(local, model, vehicle, roam_m, disturb, time_limit_s, seed)
         with console.bar("drive") as progress:
             done = drive_file(
                 plan, world, output, request, after=after, record=record, existing=existing, progress=progress

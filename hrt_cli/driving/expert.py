@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hrt_cli.driving.course import Course
-from hrt_cli.driving.field import CostMap, cost_map, follow, is_clear, water_map, ways_to
+from hrt_cli.driving.field import Cell, CostMap, cost_map, follow, is_clear, water_map, ways_to
 from hrt_cli.driving.local import Command, Pose, steer_to
 from hrt_cli.driving.motion import sample
 from hrt_cli.driving.vehicle import Vehicle
@@ -22,6 +22,8 @@ _DEAR, _LONGEST_SKIP_M = 8.0, 8.0
 _LONGEST_DETOUR_S = 150.0
 """Cost, in seconds at 1 m/s, beyond which it leaves a place out and goes for a later one."""
 _MUCH_DEARER = 2.0
+_ESCAPE_M = 1.0
+"""How far off the nearest cell may be that it may be in, when it is in none."""
 _REACH_CELLS = (5, 4, 3, 2, 1)
 """How far down its way it aims: the farthest of these that it can go straight to."""
 
@@ -46,7 +48,6 @@ class GroundExpert:
     """
 
     name = "expert"
-    sees_truth = True
 
     def __init__(self, site: Site, course: Course, vehicle: Vehicle) -> None:
         self._course = course
@@ -60,20 +61,28 @@ class GroundExpert:
     def _costs(site: Site, vehicle: Vehicle) -> CostMap:
         return cost_map(site, vehicle.radius_m)
 
-    def decide(self, pose: Pose) -> Command | None:
-        """See `LocalPlanner`."""
+    def decide(self, known: Pose, true: Pose) -> Command | None:
+        """See `LocalPlanner`; it goes by the true pose."""
+        return self.steer(true)
+
+    def steer(self, pose: Pose) -> Command | None:
+        """Return the command at a true pose."""
         if self._target is not None:
             left = math.hypot(self._target[0] - pose.east_m, self._target[1] - pose.south_m)
             exact = self._target_m >= self._course.length_m or self._course.is_tip(self._target_m)
             if left < (_REACHED_M if exact else _TARGET_M / 2):
                 self.along_m = self._target_m
                 self._target = None
-        here = self._map.cell(pose.east_m, pose.south_m)
-        if (self._target is None or not math.isfinite(float(self._to_go[here]))) and not self._choose(pose):
+        here = self._map.nearest_passable(pose.east_m, pose.south_m, _ESCAPE_M)
+        if here is None:
             return None
+        if (self._target is None or not math.isfinite(float(self._to_go[here]))) and not self._choose(here):
+            return None
+        if here != self._map.cell(pose.east_m, pose.south_m):
+            return steer_to(pose, *self._map.middle(here))  # too near to an obstacle, or on it: away from it first
         return steer_to(pose, *self._aim(pose, here))
 
-    def _choose(self, pose: Pose) -> bool:
+    def _choose(self, here: Cell) -> bool:
         """Take the next place on the course that can be reached, or say that there is none."""
         end = self._course.length_m
         at = self._course.ahead(self.along_m, _TARGET_M)
@@ -81,16 +90,16 @@ class GroundExpert:
             # Rather than through bad ground, go round it to where the course leaves it, if that is not far.
             far = min(at + _LONGEST_SKIP_M, end)
             beyond = next((m for m in np.arange(at, far, self._map.cell_m) if self._cost(float(m)) <= _DEAR), None)
-            if beyond is not None and self._take(float(beyond), pose):
+            if beyond is not None and self._take(float(beyond), here):
                 return True
         reach = None
         while True:
             cell = self._map.cell(*self._course.point(at))
             if math.isfinite(self._map.cost[cell]) and (reach is None or math.isfinite(reach[cell])):
-                if self._take(at, pose):
+                if self._take(at, here):
                     return True
                 if reach is None:  # rather than search from each of the places beyond, which may be thousands
-                    reach = self._reach(pose)
+                    reach = self._reach(here)
             if at >= end:
                 return False
             at = min(at + self._map.cell_m, end)
@@ -99,35 +108,33 @@ class GroundExpert:
         """Return what a metre costs at a place on the course."""
         return float(self._map.cost[self._map.cell(*self._course.point(at))])
 
-    def _take(self, at: float, pose: Pose) -> bool:
+    def _take(self, at: float, here: Cell) -> bool:
         """Go for a place on the course if it can be reached."""
         place = self._course.point(at)
-        if not self._search(self._map.cell(*place), pose):
+        if not self._search(self._map.cell(*place), here):
             return False
         self._target, self._target_m = place, at
         return True
 
-    def _search(self, cell: tuple[int, int], pose: Pose) -> bool:
+    def _search(self, cell: Cell, here: Cell) -> bool:
         """Find the ways to a cell, as far as the robot, or say that there is none from where it is."""
-        here = self._map.cell(pose.east_m, pose.south_m)
         cost = ways_to(self._map.cost, self._map.cell_m, *cell, *here, _LONGEST_DETOUR_S, self._to_go)
         return math.isfinite(cost)
 
-    def _reach(self, pose: Pose) -> NDArray[np.float32]:
+    def _reach(self, here: Cell) -> NDArray[np.float32]:
         """Return what it costs to get to each cell, infinite where it cannot be reached."""
-        here = self._map.cell(pose.east_m, pose.south_m)
         found = np.empty_like(self._to_go)
         ways_to(self._map.cost, self._map.cell_m, *here, -1, -1, _LONGEST_DETOUR_S, found)
         return found
 
-    def _aim(self, pose: Pose, here: tuple[int, int]) -> tuple[float, float]:
+    def _aim(self, pose: Pose, here: Cell) -> tuple[float, float]:
         assert self._target is not None
         cell_m = self._map.cell_m
         if math.hypot(self._target[0] - pose.east_m, self._target[1] - pose.south_m) < 2.0 * cell_m:
             return self._target
         for cells in _REACH_CELLS:
             row, col = follow(self._to_go, self._map.cost, here[0], here[1], cells)
-            east, south = (col + 0.5) * cell_m, (row + 0.5) * cell_m
+            east, south = self._map.middle((row, col))
             # Straight on, but not across worse ground than the way leads over.
             dearest = _MUCH_DEARER * max(self._map.cost[here], self._map.cost[row, col])
             if cells == 1 or is_clear(self._map.cost, cell_m, pose.east_m, pose.south_m, east, south, dearest):
@@ -149,9 +156,9 @@ class WaterExpert(GroundExpert):
     def _costs(site: Site, vehicle: Vehicle) -> CostMap:
         return water_map(site, vehicle.radius_m)
 
-    def decide(self, pose: Pose) -> Command | None:
-        """See `LocalPlanner`."""
-        command = super().decide(pose)
+    def steer(self, pose: Pose) -> Command | None:
+        """See `GroundExpert`."""
+        command = super().steer(pose)
         if command is None:
             return None
         climb, limit = self.climb_rad(pose), self._vehicle.pitch_limit_rad

@@ -17,6 +17,9 @@ from hrt_cli.world.terrain import clearance
 
 kernel: Any = njit(cache=True, nogil=True)
 
+Cell = tuple[int, int]
+"""Row and column."""
+
 CELL_M = 0.2
 _SLOWEST = 0.08
 """Ground slower than this share of the commanded speed is not entered."""
@@ -39,13 +42,31 @@ class CostMap:
     cost: NDArray[np.float32]
     cell_m: float
 
-    def cell(self, east_m: float, south_m: float) -> tuple[int, int]:
+    def cell(self, east_m: float, south_m: float) -> Cell:
         """Return the cell of a place, the nearest one on the map."""
         rows, cols = self.cost.shape
         return (
             min(max(int(south_m / self.cell_m), 0), rows - 1),
             min(max(int(east_m / self.cell_m), 0), cols - 1),
         )
+
+    def middle(self, cell: Cell) -> tuple[float, float]:
+        """Return the middle of a cell, east_m and south_m."""
+        return (cell[1] + 0.5) * self.cell_m, (cell[0] + 0.5) * self.cell_m
+
+    def nearest_passable(self, east_m: float, south_m: float, reach_m: float) -> Cell | None:
+        """Return the cell of a place, or where the robot may not be there the nearest in which it may."""
+        row, col = self.cell(east_m, south_m)
+        if math.isfinite(float(self.cost[row, col])):
+            return row, col
+        reach = math.ceil(reach_m / self.cell_m)
+        r0, c0 = max(row - reach, 0), max(col - reach, 0)
+        near = np.argwhere(np.isfinite(self.cost[r0 : row + reach + 1, c0 : col + reach + 1])) + np.array((r0, c0))
+        away_m = np.hypot(*((near[:, ::-1] + 0.5) * self.cell_m - (east_m, south_m)).T)
+        if away_m.min(initial=math.inf) > reach_m:
+            return None
+        found = near[int(away_m.argmin())]
+        return int(found[0]), int(found[1])
 
     def passable(self, east_m: float, south_m: float) -> bool:
         """Whether the robot may be at a place."""

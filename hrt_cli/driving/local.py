@@ -49,11 +49,17 @@ class LocalPlanner(Protocol):
     """Steers a robot along a course."""
 
     name: str
-    sees_truth: bool
-    """Whether it is told its true pose; else as it is measured."""
 
-    def decide(self, pose: Pose) -> Command | None:
-        """Return the command at this moment; None where it sees no way on."""
+    def decide(self, known: Pose, true: Pose) -> Command | None:
+        """Return the command at this moment; None where it sees no way on.
+
+        Parameters
+        ----------
+        known : Pose
+            As it is measured: all that a robot is told.
+        true : Pose
+            As it is: where its camera stands, and what the expert alone knows.
+        """
 
     @property
     def along_m(self) -> float:
@@ -68,8 +74,13 @@ def wrapped(angle_rad: float) -> float:
 def steer_to(pose: Pose, east_m: float, south_m: float, pitch: float = 0.0) -> Command:
     """Return the command that heads for a place, slower the more it has to turn."""
     error = wrapped(math.atan2(east_m - pose.east_m, -(south_m - pose.south_m)) - pose.heading_rad)
-    speed = max(0.0, 1.0 - abs(error) / _SLOW_RAD)
-    return Command(max(-1.0, min(1.0, error / _FULL_RAD)), pitch, speed)
+    return turning(error / _FULL_RAD, pitch)
+
+
+def turning(yaw: float, pitch: float = 0.0) -> Command:
+    """Return the command that turns by so many times 45 degrees, slower the more there is to turn."""
+    speed = max(0.0, 1.0 - abs(yaw) * _FULL_RAD / _SLOW_RAD)
+    return Command(max(-1.0, min(1.0, yaw)), pitch, speed)
 
 
 class Pursuit:
@@ -79,7 +90,6 @@ class Pursuit:
     """
 
     name = "pursuit"
-    sees_truth = False
 
     def __init__(self, course: Course, vehicle: Vehicle) -> None:
         self._carrot, self._vehicle = Carrot(course, vehicle.lookahead_m), vehicle
@@ -90,12 +100,12 @@ class Pursuit:
         """See `LocalPlanner`."""
         return self._carrot.along_m
 
-    def decide(self, pose: Pose) -> Command | None:
+    def decide(self, known: Pose, true: Pose) -> Command | None:
         """See `LocalPlanner`."""
         if self._depth_m is None:
-            self._depth_m = pose.height_m
-        aim = self._carrot.aim(pose.east_m, pose.south_m)
-        return steer_to(pose, *aim, pitch=level_pitch(self._vehicle, pose, self._depth_m))
+            self._depth_m = known.height_m
+        aim = self._carrot.aim(known.east_m, known.south_m)
+        return steer_to(known, *aim, pitch=level_pitch(self._vehicle, known, self._depth_m))
 
 
 def level_pitch(vehicle: Vehicle, pose: Pose, height_m: float) -> float:

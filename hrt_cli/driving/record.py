@@ -6,22 +6,22 @@ Gordon and Bagnell 2011).
 
 from __future__ import annotations
 
+import math
 import shutil
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import cv2
-import numpy as np
 
 from hrt_cli.artifacts.carriers import publish_json
 from hrt_cli.artifacts.provenance import Provenance
 from hrt_cli.artifacts.publish import publishing
-from hrt_cli.driving.lens import look
+from hrt_cli.driving.goal import AHEAD_M, Goal
+from hrt_cli.driving.lens import camera_of, look
 from hrt_cli.driving.local import Command, LocalPlanner, Pose
 from hrt_cli.driving.simulator import Setting
 from hrt_cli.errors import OutputError
-from hrt_cli.world.camera import Camera
 
 LABELS, FRAMES, ABOUT = "labels.csv", "frames", "recording.json"
 EVERY_S = 0.5
@@ -43,21 +43,20 @@ class Recorder:
 
     def __init__(self, setting: Setting, teacher: LocalPlanner, folder: Path) -> None:
         self._setting, self._teacher, self._folder = setting, teacher, folder
-        rng = np.random.default_rng([setting.seed, 0xCA])
-        camera = Camera(setting.site)
-        self._camera = camera.changed(weather=camera.weather.jittered(rng))
-        self._rows: list[tuple[str, float, float]] = []
+        self._camera, self._goal = camera_of(setting.site, setting.seed), Goal(setting.course)
+        self._rows: list[tuple[str, float, float, float]] = []
         self._due_s = 0.0
 
-    def watch(self, time_s: float, pose: Pose, command: Command) -> None:
+    def watch(self, time_s: float, known: Pose, true: Pose, command: Command) -> None:
         """Take a frame if one is due; where the expert sees no way on there is nothing to teach."""
-        wanted = self._teacher.decide(pose)
+        wanted = self._teacher.decide(known, true)
+        bearing = self._goal.bearing_rad(known)
         if time_s < self._due_s or wanted is None:
             return
         self._due_s = time_s + EVERY_S
         number = len(self._rows)
         seed = 1_000_003 * self._setting.seed + number
-        frame = look(self._camera, self._setting.site, self._setting.vehicle, pose, noise_seed=seed)
+        frame = look(self._camera, self._setting.site, self._setting.vehicle, true, noise_seed=seed)
         name = f"{FRAMES}/{number:06d}.jpg"
         done, data = cv2.imencode(".jpg", frame.rgb[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])
         if not done:
@@ -66,15 +65,15 @@ class Recorder:
             (self._folder / name).write_bytes(data.tobytes())
         except OSError as error:
             raise OutputError(f"{self._folder / name}: cannot be written: {error.strerror}") from error
-        self._rows.append((name, wanted.yaw, wanted.pitch))
+        self._rows.append((name, wanted.yaw, wanted.pitch, bearing))
 
     def finish(self, session: str, provenance: Provenance) -> int:
         """Write the labels; return how many frames there are."""
         swims = self._setting.vehicle.kind == "auv"
-        lines = ["image,yaw,pitch,session" if swims else "image,yaw,session"]
-        for name, yaw, pitch in self._rows:
+        lines = ["image,yaw,pitch,session,goal_deg" if swims else "image,yaw,session,goal_deg"]
+        for name, yaw, pitch, bearing in self._rows:
             labels = f"{yaw:.5f},{pitch:.5f}" if swims else f"{yaw:.5f}"
-            lines.append(f"{name},{labels},{session}")
+            lines.append(f"{name},{labels},{session},{math.degrees(bearing):.2f}")
         text = "\n".join(lines) + "\n"
 
         def check(draft: Path) -> None:
@@ -94,7 +93,8 @@ class Recorder:
             "frames": len(self._rows),
             "session": session,
             "vehicle": self._setting.vehicle.kind,
-            "labels": "the expert's steering: yaw 1 is 45 degrees to the right or more, pitch 1 is the steepest climb",
+            "labels": "the expert's steering: yaw 1 is 45 degrees to the right or more, pitch 1 is the steepest climb; "
+            f"goal_deg is the bearing of the course {AHEAD_M:g} m ahead, right positive",
             "lens": {"width": lens.width, "height": lens.height, "hfov_deg": lens.hfov_deg},
             "every_s": EVERY_S,
         }

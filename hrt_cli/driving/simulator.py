@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -62,11 +62,11 @@ class Drive:
     along_m: float
 
 
-Watch = Callable[[float, Pose, Command], None]
-"""Called at every command with the time in s, the true pose, and what was commanded."""
+Watch = Callable[[float, Pose, Pose, Command], None]
+"""Called at every command with the time in s, the pose as measured, the true pose, and what was commanded."""
 
 
-def unwatched(time_s: float, pose: Pose, command: Command) -> None:
+def unwatched(time_s: float, known: Pose, true: Pose, command: Command) -> None:
     """Look at nothing."""
 
 
@@ -114,16 +114,9 @@ class _Chance:
         keep = math.exp(-CONTROL_S / _SLIP_S)
         self.slip = 1.0 + keep * (self.slip - 1.0) + math.sqrt(1 - keep * keep) * _SLIP_SD * float(draw[2])
 
-    def pose(self, state: State, sees_truth: bool) -> Pose:
-        """Return the pose as the planner is told it."""
-        off = (0.0, 0.0) if sees_truth else self.drift_m
-        return Pose(
-            float(state[EAST] + off[0]),
-            float(state[SOUTH] + off[1]),
-            float(state[HEIGHT]),
-            float(state[HEADING]),
-            float(state[PITCH]),
-        )
+    def measured(self, pose: Pose) -> Pose:
+        """Return a pose as the robot is told it."""
+        return replace(pose, east_m=pose.east_m + self.drift_m[0], south_m=pose.south_m + self.drift_m[1])
 
     def record(self, time_s: float, state: State, commanded_m_s: float) -> list[float]:
         east, south = state[[EAST, SOUTH]] + self.drift_m + self._rng.normal(0.0, _FIX_SD_M, 2)
@@ -155,8 +148,7 @@ class _Stall:
 def simulate(setting: Setting, local: LocalPlanner, *, watch: Watch = unwatched, progress: Progress = silent) -> Drive:
     """Drive a course until the robot arrives, is stuck, or its time is over.
 
-    The same setting and planner give the same drive. A blind planner is told the measured pose, the expert the true
-    one.
+    The same setting and planner give the same drive.
     """
     vehicle, course = setting.vehicle, setting.course
     state = starting_state(setting)
@@ -166,11 +158,13 @@ def simulate(setting: Setting, local: LocalPlanner, *, watch: Watch = unwatched,
     touching, commanded, time_s, tick = motion.FREE, 0.0, 0.0, 0
     records.append(chance.record(0.0, state, 0.0))
     while True:
-        command = local.decide(chance.pose(state, local.sees_truth))
+        pose = _pose(state)
+        known = chance.measured(pose)
+        command = local.decide(known, pose)
         end = _ended(setting, local, state, time_s, command)
         if end is not None or command is None:
             break
-        watch(time_s, chance.pose(state, True), command)
+        watch(time_s, known, pose, command)
         most = setting.cruise_m_s * command.speed
         change = vehicle.ramp_m_s2 * CONTROL_S
         # It brakes at once, and speeds up by the ramp.
@@ -207,6 +201,11 @@ def starting_state(setting: Setting) -> State:
     if vehicle.kind == "auv":
         height = min(height, -vehicle.radius_m)
     return np.array([east, south, height, setting.heading_rad, 0.0, 0.0])
+
+
+def _pose(state: State) -> Pose:
+    east, south, height, heading, pitch = (float(state[k]) for k in (EAST, SOUTH, HEIGHT, HEADING, PITCH))
+    return Pose(east, south, height, heading, pitch)
 
 
 def first_heading(course: Course) -> float:

@@ -3,39 +3,33 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hrt_cli.artifacts.carriers import json_provenance
 from hrt_cli.artifacts.drivelog import Header, Robot, drive_provenance, publish_drive_log, read_drive_log
-from hrt_cli.artifacts.plan import PlanDocument, read_plan
+from hrt_cli.artifacts.plan import read_plan
 from hrt_cli.artifacts.publish import output_error
 from hrt_cli.artifacts.stage import REFUSE, Existing, ReadProvenance, begin
-from hrt_cli.driving.course import Course
+from hrt_cli.driving.disturb import Disturbed
 from hrt_cli.driving.expert import GroundExpert, WaterExpert
-from hrt_cli.driving.field import inside_rim, rim_distance
 from hrt_cli.driving.local import LocalPlanner, Pursuit
 from hrt_cli.driving.record import ABOUT, Recorder, prepare_folder
+from hrt_cli.driving.roam import roam_course
+from hrt_cli.driving.route import planned_course
 from hrt_cli.driving.simulator import Drive, Setting, first_heading, simulate, unwatched
 from hrt_cli.driving.vehicle import VEHICLES, Vehicle
 from hrt_cli.errors import ArgumentError, InputError
 from hrt_cli.progress import Progress, silent
-from hrt_cli.raster.track import points_on
 from hrt_cli.world.site import Site, load_site, site_files
 
 STAGE = "drive"
-STAGE_VERSION = 3
+STAGE_VERSION = 4
 
-LOCAL_PLANNERS = ("pursuit", "expert")
-
-_BACK_UP_M = 0.4
-"""A robot that was stuck backs up so far before it goes on."""
-_FARTHEST_MOVED_M = 3.0
-"""A robot put down on an obstacle is moved to free ground that is no farther away."""
+LOCAL_PLANNERS = ("pursuit", "expert", "steer")
 
 
 @dataclass(frozen=True)
@@ -44,16 +38,25 @@ class DriveRequest:
 
     Attributes
     ----------
-    local : 'pursuit' or 'expert'
+    local : 'pursuit', 'expert' or 'steer'
+    model : Path or None
+        The steering model of 'steer'.
     vehicle : 'ugv', 'auv' or None
         None: the AUV under water, else the UGV.
+    roam_m : float or None
+        Without a plan: how long the course of random legs is (`driving.roam`).
+    disturb : float
+        Share of the time that the robot is pushed off its way, in [0, 1) (`driving.disturb`).
     time_limit_s : float or None
         The drive ends after so long. None: the plan's budget where that is in minutes, else never.
     seed : int
     """
 
     local: str = "pursuit"
+    model: Path | None = None
     vehicle: str | None = None
+    roam_m: float | None = None
+    disturb: float = 0.0
     time_limit_s: float | None = None
     seed: int = 0
 
@@ -85,7 +88,7 @@ class DriveSummary:
 
 
 def drive_file(
-    plan_path: Path,
+    plan_path: Path | None,
     world: Path,
     output: Path,
     request: DriveRequest,
@@ -95,12 +98,14 @@ def drive_file(
     existing: Existing = REFUSE,
     progress: Progress = silent,
 ) -> DriveSummary:
-    """Drive a plan on a site and write the log.
+    """Drive on a site and write the log.
 
     Parameters
     ----------
-    plan_path, world, output : Path
-        The plan of one robot, the folder of the site, and the log (`.jsonl`).
+    plan_path : Path or None
+        The plan of one robot; None to roam.
+    world, output : Path
+        The folder of the site, and the log (`.jsonl`).
     request : DriveRequest
     after : Path, optional
         Log of the drive that this one goes on from: the robot begins where that ended.
@@ -117,14 +122,10 @@ def drive_file(
         See `hrt_cli.artifacts.stage.begin`.
     """
     _check_name(output)
-    files = site_files(world)
-    inputs = {"plan": plan_path, **files} | ({"after": after} if after else {})
-    parameters: dict[str, Any] = {
-        "local": request.local,
-        "vehicle": request.vehicle,
-        "time_limit_s": request.time_limit_s,
-        "seed": request.seed,
-    }
+    _check_request(request, plan_path, after)
+    given = {"plan": plan_path, **site_files(world), "after": after, "model": request.model}
+    inputs = {role: path for role, path in given.items() if path is not None}
+    parameters: dict[str, Any] = {key: value for key, value in asdict(request).items() if key != "model"}
     outputs: dict[Path, ReadProvenance] = {output: drive_provenance}
     if record is not None:
         outputs[record / ABOUT] = json_provenance
@@ -134,27 +135,20 @@ def drive_file(
         except OSError as error:
             raise output_error(record, error) from error
     job = begin(STAGE, STAGE_VERSION, inputs=inputs, parameters=parameters, outputs=outputs, existing=existing)
-    plan = read_plan(plan_path)
     notes: list[str] = []
     if not job.up_to_date:
         site = load_site(world)
-        vehicle = VEHICLES[request.vehicle or ("auv" if site.under_water else "ugv")]
-        course, notes = _course(plan, plan_path, site, vehicle, after)
-        setting = Setting(
-            site=site,
-            vehicle=vehicle,
-            course=course,
-            cruise_m_s=plan.speed_m_s,
-            limit_s=_limit_s(plan, request),
-            heading_rad=first_heading(course),
-            seed=request.seed,
-        )
+        setting, notes = _setting(plan_path, site, request, after)
+        vehicle = setting.vehicle
+        local = local_planner(request.local, setting, request.model)
+        if request.disturb > 0:
+            local = Disturbed(local, request.disturb, request.seed)
         watch, recorder = unwatched, None
         if record is not None:
             prepare_folder(record, list(inputs.values()), overwrite=existing.overwrite or existing.force)
             recorder = Recorder(setting, local_planner("expert", setting), record)
             watch = recorder.watch
-        drive = simulate(setting, local_planner(request.local, setting), watch=watch, progress=progress)
+        drive = simulate(setting, local, watch=watch, progress=progress)
         robot = Robot(kind=vehicle.kind, radius_m=vehicle.radius_m)
         header = Header(format="hrt-drive-log", crs=site.grid.crs_text(), robot=robot, end=drive.end)
         if recorder is not None:
@@ -202,113 +196,66 @@ def _check_name(output: Path) -> None:
         raise ArgumentError(f"{output}: a drive log is written as .jsonl")
 
 
-def local_planner(name: str, setting: Setting) -> LocalPlanner:
-    """Return the local planner of a name.
+def _check_request(request: DriveRequest, plan_path: Path | None, after: Path | None) -> None:
+    if (plan_path is None) == (request.roam_m is None):
+        raise ArgumentError("a drive follows a plan or roams: give one of the two")
+    if plan_path is None and after is not None:
+        raise ArgumentError("a drive that roams goes on from no other: leave --after out, or give a plan")
+    if (request.local == "steer") != (request.model is not None):
+        raise ArgumentError("the local planner steer needs a --model, and no other takes one")
+
+
+def _setting(
+    plan_path: Path | None, site: Site, request: DriveRequest, after: Path | None
+) -> tuple[Setting, list[str]]:
+    """Return what the drive depends on besides who steers, and what the user ought to know of it."""
+    vehicle = VEHICLES[request.vehicle or ("auv" if site.under_water else "ugv")]
+    limit_s = math.inf if request.time_limit_s is None else request.time_limit_s
+    notes: list[str] = []
+    if plan_path is None:
+        course, cruise_m_s = roam_course(site, vehicle, request.roam_m or 0.0, request.seed), vehicle.cruise_m_s
+    else:
+        plan = read_plan(plan_path)
+        course, notes = planned_course(plan, plan_path, site, vehicle, after)
+        cruise_m_s = plan.speed_m_s
+        if request.time_limit_s is None and plan.budget.unit == "min":
+            limit_s = plan.budget.cells * plan.grid.cell_size_m / plan.speed_m_s
+    heading = first_heading(course)
+    return Setting(site, vehicle, course, cruise_m_s, limit_s, heading, request.seed), notes
+
+
+def local_planner(name: str, setting: Setting, model: Path | None = None) -> LocalPlanner:
+    """Return the local planner of a name; 'steer' by its model.
 
     Raises
     ------
     ArgumentError
-        There is none.
+        There is none, or the model was not made for this robot.
+    InputError
+        The model cannot be used.
     """
     if name not in LOCAL_PLANNERS:
         raise ArgumentError(f"there is no local planner {name!r}, only {', '.join(LOCAL_PLANNERS)}")
+    if name == "steer":
+        if model is None:
+            raise ArgumentError("the local planner steer needs a model")
+        return _steer(model, setting)
     if name == "pursuit":
         return Pursuit(setting.course, setting.vehicle)
     expert = GroundExpert if setting.vehicle.kind == "ugv" else WaterExpert
     return expert(setting.site, setting.course, setting.vehicle)
 
 
-def _limit_s(plan: PlanDocument, request: DriveRequest) -> float:
-    if request.time_limit_s is not None:
-        return request.time_limit_s
-    if plan.budget.unit == "min":
-        return plan.budget.cells * plan.grid.cell_size_m / plan.speed_m_s
-    return math.inf
+def _steer(model: Path, setting: Setting) -> LocalPlanner:
+    # Only here: PyTorch takes a second to import.
+    from hrt_cli.driving.steer import Steer
+    from hrt_cli.steering.predictor import load_predictor
 
-
-def _course(
-    plan: PlanDocument, path: Path, site: Site, vehicle: Vehicle, after: Path | None
-) -> tuple[Course, list[str]]:
-    """Return the line to drive, from where the robot really stands, and what the user ought to know of it."""
-    points = _on_site(path, np.array(plan.xy), plan.grid.crs, site)
-    wanted = points[0] if after is None else _left_at(after, site)
-    start = _free_place(site, wanted, vehicle)
-    if start is None:
-        raise ArgumentError(f"{path}: its start lies on an obstacle or off the survey, and no free ground is near")
-    moved = float(np.hypot(*(start - wanted)))
-    notes = [f"the robot is put down {moved:.1f} m beside the start, which is blocked"] if moved > 0.5 else []
-    places, more = _off_the_rim(points[1:] if len(points) > 1 else points, plan.grid.cell_size_m, site, vehicle)
-    return Course(np.vstack([start, places])), notes + more
-
-
-def _off_the_rim(
-    places: NDArray[np.float64], reach_m: float, site: Site, vehicle: Vehicle
-) -> tuple[NDArray[np.float64], list[str]]:
-    """Return places to drive to, those at the rim of the survey moved inside, and notes of it.
-
-    A robot keeps its radius from what the survey did not see: it is stopped there. What has no such ground within
-    `reach_m` is left out.
-    """
-    inside = inside_rim(site, vehicle.radius_m)
-    kept, moved = [], 0
-    for place in places:
-        nearest = _nearest(inside, place, reach_m, site)
-        if nearest is not None:
-            kept.append(nearest)
-            moved += nearest is not place
-    notes = []
-    if moved:
-        notes.append(f"{moved} of {len(places)} places lie at the rim of the survey: moved inside")
-    if len(kept) < len(places):
-        notes.append(f"{len(places) - len(kept)} of {len(places)} places lie off the survey: left out")
-    return np.array(kept).reshape(-1, 2), notes
-
-
-def _left_at(path: Path, site: Site) -> NDArray[np.float64]:
-    """Return where a drive left the robot; where that was stuck, it has backed up a little."""
-    log = read_drive_log(path)
-    place = _on_site(path, log.place[-1:], "EPSG:4326" if log.geographic else log.crs, site)[0]
-    if log.end == "stuck" and np.isfinite(log.heading_deg[-1]):
-        heading = math.radians(log.heading_deg[-1]) - site.up_bearing_rad
-        place = place - _BACK_UP_M * np.array([math.sin(heading), -math.cos(heading)])
-    return np.asarray(place)
-
-
-def _on_site(path: Path, xy: NDArray[np.float64], crs: str | None, site: Site) -> NDArray[np.float64]:
-    if crs is None:
-        raise InputError(path, "has no coordinate reference system, so it has no place on a site")
-    rows, cols = points_on(path, xy, crs, site.grid, "site")
-    if not ((rows >= 0) & (rows <= site.grid.rows) & (cols >= 0) & (cols <= site.grid.cols)).any():
-        raise InputError(path, "lies wholly off the site")
-    return np.stack([cols, rows], axis=1) * site.pixel_m
-
-
-def _free_place(site: Site, wanted: NDArray[np.float64], vehicle: Vehicle) -> NDArray[np.float64] | None:
-    """Return the place nearest to `wanted` where the robot touches nothing, if there is one near."""
-    room = rim_distance(site)
-    if vehicle.kind == "ugv":
-        room = np.minimum(room, site.clearance_m)
-    return _nearest(room > vehicle.radius_m + site.pixel_m, wanted, _FARTHEST_MOVED_M, site)
-
-
-def _nearest(
-    free: NDArray[np.bool_], wanted: NDArray[np.float64], reach_m: float, site: Site
-) -> NDArray[np.float64] | None:
-    """Return `wanted` itself where its pixel is free, else the nearest middle of one that is, at most `reach_m` away.
-
-    Parameters
-    ----------
-    free : bool [rows, cols]
-    """
-    row, col = site.pixel(float(wanted[0]), float(wanted[1]))
-    if 0 <= row < free.shape[0] and 0 <= col < free.shape[1] and free[row, col]:
-        return wanted
-    reach = math.ceil(reach_m / site.pixel_m)
-    r0, c0 = max(row - reach, 0), max(col - reach, 0)
-    rows, cols = np.nonzero(free[r0 : max(row + reach + 1, 0), c0 : max(col + reach + 1, 0)])
-    places = np.stack([cols + c0 + 0.5, rows + r0 + 0.5], axis=1) * site.pixel_m
-    away = np.hypot(*(places - wanted).T)
-    return places[int(away.argmin())] if away.min(initial=np.inf) <= reach_m else None
+    predictor = load_predictor(model)
+    swims = setting.vehicle.kind == "auv"
+    if swims != ("pitch" in predictor.config.outputs):
+        raise InputError(model, f"steers {' and '.join(predictor.config.outputs)}: made for another kind of robot")
+    return Steer(predictor, setting)
 
 
 def _records(drive: Drive, site: Site, vehicle: Vehicle) -> list[dict[str, Any]]:

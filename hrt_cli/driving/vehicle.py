@@ -32,6 +32,8 @@ class Vehicle:
         How far ahead on its path it aims (pure pursuit: Coulter 1992).
     altitude_m : float
         Height over the bottom that the AUV keeps.
+    cruise_m_s : float
+        Its speed where no plan says another.
     """
 
     kind: Kind
@@ -44,6 +46,7 @@ class Vehicle:
     lens_pitch_rad: float
     lookahead_m: float
     altitude_m: float
+    cruise_m_s: float
 
 
 UGV = Vehicle(
@@ -57,6 +60,7 @@ UGV = Vehicle(
     lens_pitch_rad=math.radians(-10.0),
     lookahead_m=0.7,
     altitude_m=0.0,
+    cruise_m_s=1.0,
 )
 """A skid-steered robot of the size of a Clearpath Jackal or a small Husky."""
 
@@ -71,6 +75,7 @@ AUV = Vehicle(
     lens_pitch_rad=math.radians(-35.0),
     lookahead_m=1.4,
     altitude_m=0.9,
+    cruise_m_s=0.5,
 )
 """A robot of the size of an Aqua, which swims with six flippers and turns in its own length."""
 

@@ -20,9 +20,9 @@ from world_files import ground_site, map_xy, place_of, put_drive_log, put_plan, 
 from hrt_cli.artifacts.drivelog import drive_provenance, read_drive_log
 from hrt_cli.artifacts.plan import read_plan
 from hrt_cli.artifacts.stage import Existing
-from hrt_cli.driving import stage
 from hrt_cli.driving.field import cost_map, inside_rim, rim_distance
-from hrt_cli.driving.stage import LOCAL_PLANNERS, DriveRequest, DriveSummary, drive_file
+from hrt_cli.driving.route import planned_course
+from hrt_cli.driving.stage import DriveRequest, DriveSummary, drive_file
 from hrt_cli.driving.vehicle import UGV
 from hrt_cli.errors import ArgumentError, InputError, OutputError
 from hrt_cli.main import cli
@@ -94,7 +94,7 @@ def test_an_underwater_robot_logs_pitch_and_depth(reef: Path, tmp_path: Path) ->
     assert read_drive_log(tmp_path / "u.jsonl").robot.kind == "ugv"
 
 
-@pytest.mark.parametrize("local", LOCAL_PLANNERS)
+@pytest.mark.parametrize("local", ["pursuit", "expert"])
 def test_the_seed_is_all_that_chance_depends_on(world: Path, tmp_path: Path, local: str) -> None:
     plan_path = straight(tmp_path / "p.json")
     logs = [tmp_path / f"{k}.jsonl" for k in range(3)]
@@ -193,7 +193,7 @@ def around(inset_m: float) -> list[tuple[float, float]]:
 
 
 @pytest.mark.parametrize("seed", [0, 1])
-@pytest.mark.parametrize("local", LOCAL_PLANNERS)
+@pytest.mark.parametrize("local", ["pursuit", "expert"])
 @pytest.mark.parametrize("kind", ["ugv", "auv"])
 @pytest.mark.parametrize("inset_m", [-0.3, 0.0, 0.2])
 def test_a_plan_along_the_rim_is_driven_inside_it(
@@ -211,7 +211,7 @@ def test_a_plan_along_the_rim_is_driven_inside_it(
 
 def course_of(path: Path, site: Site, cell_m: float, *places: tuple[float, float]) -> tuple[np.ndarray, list[str]]:
     plan = read_plan(straight(path, *places, cell_m=cell_m))
-    course, notes = stage._course(plan, path, site, UGV, None)
+    course, notes = planned_course(plan, path, site, UGV, None)
     return course.points, notes
 
 

@@ -28,8 +28,8 @@ class Track:
     def __init__(self) -> None:
         self.poses: list[Pose] = []
 
-    def __call__(self, time_s: float, pose: Pose, command: object) -> None:
-        self.poses.append(pose)
+    def __call__(self, time_s: float, known: Pose, true: Pose, command: object) -> None:
+        self.poses.append(true)
 
     @property
     def places(self) -> np.ndarray:

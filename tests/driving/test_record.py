@@ -65,7 +65,7 @@ def test_frames_and_labels_of_a_ground_robot(world: Path, plan: Path, tmp_path: 
     found = drive(plan, world, folder, local=local, seed=3)
     assert found.end == "arrived"
     rows = labels(folder)
-    assert list(rows[0]) == ["image", "yaw", "session"]
+    assert list(rows[0]) == ["image", "yaw", "session", "goal_deg"]
     assert len(rows) == pytest.approx(found.duration_s / EVERY_S, abs=2)
     assert [row["image"] for row in rows] == [f"{FRAMES}/{k:06d}.jpg" for k in range(len(rows))]
     assert sorted(p.name for p in (folder / FRAMES).iterdir()) == [f"{k:06d}.jpg" for k in range(len(rows))]
@@ -88,7 +88,7 @@ def test_frames_and_labels_of_a_ground_robot(world: Path, plan: Path, tmp_path: 
 def test_a_divers_labels_have_a_pitch(reef: Path, plan: Path, tmp_path: Path) -> None:
     drive(plan, reef, tmp_path / "rec", local="expert")
     rows = labels(tmp_path / "rec")
-    assert list(rows[0]) == ["image", "yaw", "pitch", "session"]
+    assert list(rows[0]) == ["image", "yaw", "pitch", "session", "goal_deg"]
     pitch = np.array([float(row["pitch"]) for row in rows])
     assert (np.abs(pitch) <= 1).all()
     assert pitch.max() > 0.1, "the bottom rises"
@@ -98,12 +98,12 @@ def test_a_divers_labels_have_a_pitch(reef: Path, plan: Path, tmp_path: Path) ->
 class Stray:
     """Drives straight on, whatever the course is, and knows how far along it would have come."""
 
-    name, sees_truth = "stray", False
+    name = "stray"
 
     def __init__(self) -> None:
         self.along_m = 0.0
 
-    def decide(self, pose: Pose) -> Command | None:
+    def decide(self, known: Pose, true: Pose) -> Command | None:
         return Command(0.0)
 
 
@@ -117,9 +117,9 @@ def test_labels_are_the_experts_whoever_drives(tmp_path: Path, off_deg: float, s
     recorder = Recorder(setting, local_planner("expert", setting), tmp_path / "rec")
     seen: list[tuple[float, Command]] = []
 
-    def watch(time_s: float, pose: Pose, command: Command) -> None:
-        seen.append((pose.south_m, command))
-        recorder.watch(time_s, pose, command)
+    def watch(time_s: float, known: Pose, true: Pose, command: Command) -> None:
+        seen.append((true.south_m, command))
+        recorder.watch(time_s, known, true, command)
 
     found = simulate(setting, Stray(), watch=watch)
     assert found.end == "out of time"
@@ -148,11 +148,11 @@ def test_where_the_expert_sees_no_way_on_nothing_is_taught(tmp_path: Path) -> No
     teacher = local_planner("expert", setting)
     recorder = Recorder(setting, teacher, tmp_path / "rec")
     pose = Pose(7.0, 8.0, 0.0, math.pi / 2, 0.0)
-    while teacher.decide(pose) is not None:
+    while teacher.decide(pose, pose) is not None:
         teacher.along_m += 1.0  # what lies before it is behind
         teacher._target = None
         assert teacher.along_m < 20
-    recorder.watch(0.0, pose, Command(0.0))
+    recorder.watch(0.0, pose, pose, Command(0.0))
     assert recorder._rows == []
     assert not list((tmp_path / "rec" / FRAMES).iterdir())
 

@@ -1,0 +1,71 @@
+"""The local planner that was learnt: it steers by what the camera shows and by where the goal is."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hrt_cli.driving.goal import Goal
+from hrt_cli.driving.lens import camera_of, look
+from hrt_cli.driving.local import Command, Pose, turning
+from hrt_cli.driving.simulator import Setting
+from hrt_cli.steering.network import Output
+from hrt_cli.steering.pictures import fitted
+from hrt_cli.steering.predictor import Distributions, Predictor
+
+_EVERY = 2
+"""Decisions from one frame to the next: five frames a second."""
+_BESIDE = 2
+"""Classes on either side of the best one over which the angle is averaged."""
+
+
+class Steer:
+    """Steers by a network.
+
+    It takes the mean about the best class, not over all: where the way leads left or right of a thing, the mean of
+    both leads into it.
+
+    Parameters
+    ----------
+    predictor : Predictor
+    setting : Setting
+    """
+
+    name = "steer"
+
+    def __init__(self, predictor: Predictor, setting: Setting) -> None:
+        self._predictor, self._setting = predictor, setting
+        self._camera, self._goal = camera_of(setting.site, setting.seed), Goal(setting.course)
+        self._asked = 0
+        self._last: Command | None = None
+
+    @property
+    def along_m(self) -> float:
+        """See `LocalPlanner`."""
+        return self._goal.along_m
+
+    def decide(self, known: Pose, true: Pose) -> Command | None:
+        """See `LocalPlanner`."""
+        bearing = self._goal.bearing_rad(known)
+        if self._asked % _EVERY == 0:
+            self._last = self._command(true, bearing)
+        self._asked += 1
+        return self._last
+
+    def _command(self, true: Pose, bearing_rad: float) -> Command:
+        seed = 2_000_003 * self._setting.seed + self._asked
+        frame = look(self._camera, self._setting.site, self._setting.vehicle, true, noise_seed=seed)
+        config = self._predictor.config
+        goal = np.array([bearing_rad], np.float32) if config.goal else None
+        found = self._predictor.probabilities(fitted(frame.rgb, config)[None], goal)
+        return turning(_angle(found, "yaw"), _angle(found, "pitch") if "pitch" in found else 0.0)
+
+
+def _angle(found: Distributions, output: Output) -> float:
+    """Return the mean of the angles about the best class of a distribution."""
+    probability = found[output][0]
+    classes = probability.size
+    smooth = np.convolve(probability, [0.5, 1.0, 0.5], mode="same")
+    best = int(smooth.argmax())
+    near = slice(max(best - _BESIDE, 0), best + _BESIDE + 1)
+    angles = np.linspace(-1.0, 1.0, classes)[near]
+    return float((probability[near] * angles).sum() / probability[near].sum())
