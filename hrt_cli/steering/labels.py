@@ -1,0 +1,79 @@
+"""hrt's own recordings: `labels.csv` with the columns image and yaw, and maybe pitch, session and goal_deg."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+from hrt_cli.errors import InputError
+from hrt_cli.steering.network import Output
+from hrt_cli.steering.rows import (
+    Below,
+    Frame,
+    Line,
+    MalformedRowError,
+    Recording,
+    checked_angle,
+    read_lines,
+    real_number,
+)
+
+LABELS = "labels.csv"
+_NEEDED, _OPTIONAL = ("image", "yaw"), ("pitch", "session", "goal_deg")
+_LONGEST_SESSION = 200
+
+
+def read_labels(folder: Path) -> Recording:
+    """Read a folder with `labels.csv`; see `rows.Recording`.
+
+    Raises
+    ------
+    InputError
+        The file is empty, or its first line does not name the columns that it may have.
+    """
+    file = folder / LABELS
+    header, *lines = read_lines(file)
+    columns = _columns(file, header)
+    outputs: tuple[Output, ...] = ("yaw", "pitch") if "pitch" in columns else ("yaw",)
+    recording = Recording((file,), outputs, "goal_deg" in columns)
+    below = Below(folder)
+    for line in lines:
+        with recording.row(file, line.row):
+            recording.frames.append(_frame(line, columns, recording, below))
+    return recording
+
+
+def _columns(file: Path, header: Line) -> list[str]:
+    try:
+        columns = header.cells()
+    except MalformedRowError as error:
+        raise InputError(file, f"its first line {error}") from error
+    lacking = [name for name in _NEEDED if name not in columns]
+    if lacking:
+        raise InputError(file, f"has no column {lacking[0]} (its first line must name image, yaw, ...)")
+    unknown = [name for name in columns if name not in (*_NEEDED, *_OPTIONAL)]
+    if unknown:
+        known = ", ".join((*_NEEDED, *_OPTIONAL))
+        raise InputError(file, f"has the unknown column {unknown[0][:40]!r} (known: {known})")
+    if len(set(columns)) != len(columns):
+        raise InputError(file, "names a column twice")
+    return columns
+
+
+def _frame(line: Line, columns: list[str], recording: Recording, below: Below) -> Frame:
+    cells = line.cells()
+    if len(cells) != len(columns):
+        raise MalformedRowError(f"has {len(cells)} fields, and the first line names {len(columns)}")
+    values = dict(zip(columns, cells, strict=True))
+    steering = tuple(checked_angle(name, real_number(name, values[name])) for name in recording.outputs)
+    session = values.get("session", "")
+    if "session" in values and not 0 < len(session) <= _LONGEST_SESSION:
+        raise MalformedRowError("names no session" if not session else "has too long a name of the session")
+    goal_rad = None
+    if recording.has_goal:
+        goal_deg = real_number("goal_deg", values["goal_deg"])
+        if abs(goal_deg) > 180.0:
+            raise MalformedRowError(f"goal_deg is {goal_deg:g}, outside [-180, 180]")
+        goal_rad = math.radians(goal_deg)
+    path, real = below.find(values["image"])
+    return Frame(path, real, steering, session, line.number, recording.files[0], line.row, goal_rad)
