@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Annotated, Literal
@@ -20,6 +21,8 @@ Positive = Annotated[float, Field(gt=0)]
 
 _HIDDEN = 128
 """Units in which what is seen and where to go meet."""
+_BEARINGS = 24
+"""Directions all round by which a bearing is told: 15 degrees apart."""
 
 
 class SteeringConfig(Document):
@@ -89,8 +92,8 @@ class SteeringNet(nn.Module):
         features = FEATURES * config.columns
         self.merge: nn.Module | None = None
         if config.goal:
-            self.merge = nn.Sequential(nn.Linear(features + 2, _HIDDEN), nn.ReLU(inplace=True))
-            features = _HIDDEN
+            self.merge = nn.Sequential(nn.Linear(features + _BEARINGS, _HIDDEN), nn.ReLU(inplace=True))
+            features = _HIDDEN + _BEARINGS
         self.dropout = ConcreteDropout(features)
         self.heads = nn.ModuleDict({name: nn.Linear(features, config.classes) for name in config.outputs})
 
@@ -102,8 +105,9 @@ class SteeringNet(nn.Module):
             return columns
         if goal is None:
             raise ValueError("this network must be told where to go")
-        merged: Tensor = self.merge(torch.cat([columns, torch.sin(goal)[:, None], torch.cos(goal)[:, None]], dim=1))
-        return merged
+        bearing = told(goal)
+        # The head is told the bearing, too: to make for the goal is what it does where nothing is in the way.
+        return torch.cat([self.merge(torch.cat([columns, bearing], dim=1)), bearing], dim=1)
 
     def logits(self, features: Tensor) -> dict[Output, Tensor]:
         """Return the logits of each output, float [n, 2M + 1], before temperature."""
@@ -149,6 +153,21 @@ class SteeringNet(nn.Module):
         finally:
             for each in layers:
                 each.sampling = False
+
+
+def told(goal: Tensor) -> Tensor:
+    """Return bearings as the network is told them, float [n, 24]: one near each of 24 directions, falling off to 0.
+
+    exp(k (cos(goal - d) - 1)) for the directions d, with k so that it is half between two of them.
+
+    Parameters
+    ----------
+    goal : float [n]
+        Radians.
+    """
+    directions = torch.arange(_BEARINGS, dtype=goal.dtype, device=goal.device) * (2.0 * math.pi / _BEARINGS)
+    sharp = math.log(2.0) / (1.0 - math.cos(math.pi / _BEARINGS))
+    return torch.exp(sharp * (torch.cos(goal[:, None] - directions) - 1.0))
 
 
 def total_loss(

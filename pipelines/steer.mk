@@ -1,0 +1,59 @@
+# A robot learns to steer from one survey, before it has driven a metre: make -f steer.mk world=../site
+#
+# Round 1 shows it how the expert drives, who sees the site as it is. In each later round the robot itself drives, and
+# the expert says what it should have done there (DAgger: Ross, Gordon and Bagnell 2011); it learns from all rounds so far:
+#   round-1/drive-1/labels.csv  drive-1.jsonl  ...  steer.safetensors  curve.png        test/drive-1.jsonl  report.json
+# The courses are random legs over the site (hrt drive --roam), others in the test than in training.
+
+.DEFAULT_GOAL := steering
+include Makefile
+
+.PHONY: steering clean-steering
+steering:
+
+ifeq ($(filter clean%,$(MAKECMDGOALS)),)
+ifeq ($(world),)
+$(error $(CONFIG): to learn to steer, a robot needs a world: the folder of a site with ortho.tif and dsm.tif)
+endif
+endif
+
+count = $(shell awk 'BEGIN { for (k = 1; k <= $(1); k++) print k }')
+learn_rounds := $(call count,$(steer_rounds))
+learn_drives := $(call count,$(steer_drives))
+steer_out := $(out)/steer
+world_files := $(wildcard $(addprefix $(world)/,ortho.tif ortho.vrt dsm.tif truth.tif classes.tif world.json))
+roam_args = --world $(world) --roam $(steer_metres)
+# The expert is pushed off its way now and then, so that it shows how to get back.
+push_args = --local expert --disturb $(steer_disturb)
+train_args = --size $(steer_size) --columns $(steer_columns) --batch $(steer_batch) --patience 0 --threads $(workers)
+
+ifeq ($(filter clean%,$(MAKECMDGOALS)),)
+$(call stamp,steer-drive,$(roam_args) $(seed) $(steer_drives))
+$(call stamp,steer-push,$(push_args))
+$(call stamp,steer-train,$(train_args) $(steer_epochs) $(seed))
+endif
+
+# $1 round, $2 drive, $3 who drives, $4 what that depends on.
+define learning_drive
+$(steer_out)/round-$1/drive-$2/labels.csv: $(world_files) $4 $(stamps)/steer-drive
+	@mkdir -p $$(@D)
+	$(HRT) drive $(roam_args) -o $(steer_out)/round-$1/drive-$2.jsonl --record $$(@D) $3 \
+	  --seed $$$$(( $(seed) * 100000 + $1 * 1000 + $2 )) --overwrite
+	@touch $$@
+$(eval recordings += $(steer_out)/round-$1/drive-$2/labels.csv)
+endef
+
+# $1 round. Recipes, too, are expanded here, while `recordings` are those of the rounds so far.
+define learning_round
+$(foreach d,$(learn_drives),$(eval $(call learning_drive,$1,$d,\
+  $(if $(learnt),--local steer --model $(learnt),$(push_args)),$(if $(learnt),$(learnt),$(stamps)/steer-push))))
+$(steer_out)/round-$1/steer.safetensors: $(recordings) $(learnt) $(stamps)/steer-train
+	$(HRT) train-steer $(patsubst %/labels.csv,%,$(recordings)) -o $$@ $(train_args) --epochs $(word $1,$(steer_epochs)) \
+	  $(if $(learnt),--init $(learnt)) --seed $(seed) --curve $$(@D)/curve.png --overwrite
+	@touch $$@
+$(eval learnt := $(steer_out)/round-$1/steer.safetensors)
+endef
+
+recordings :=
+learnt :=
+$(foreach r,$(learn_rounds),$(eval $(call learning_round,$r)))

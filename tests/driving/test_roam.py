@@ -1,0 +1,45 @@
+"""Courses without a plan."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from world_files import ground_site
+
+from hrt_cli.driving.roam import roam_course
+from hrt_cli.driving.vehicle import UGV
+from hrt_cli.errors import ArgumentError
+
+SIDE = 300  # 30 m
+
+
+def test_its_places_are_free_and_its_length_is_as_asked() -> None:
+    obstacle = np.zeros((SIDE, SIDE), np.bool_)
+    obstacle[100:200, 140:160] = True
+    site = ground_site(obstacle)
+    course = roam_course(site, UGV, 200.0, 3)
+    assert 200.0 <= course.length_m < 230.0
+    rows, cols = np.floor(course.points[:, ::-1] / site.pixel_m).astype(int).T
+    assert (site.clearance_m[rows, cols] > UGV.radius_m + 0.2).all()
+    inside = np.minimum(course.points, 30.0 - course.points).min()
+    assert inside > UGV.radius_m + 0.2
+    assert np.hypot(*np.diff(course.points, axis=0).T).max() < 33.0
+
+
+def test_all_of_it_lies_on_one_side_of_a_wall_without_a_gap() -> None:
+    obstacle = np.zeros((SIDE, SIDE), np.bool_)
+    obstacle[:, 190:200] = True
+    points = roam_course(ground_site(obstacle), UGV, 300.0, 1).points
+    assert (points[:, 0] < 19.0).all(), "the larger side"
+
+
+def test_seeds_differ_and_repeat() -> None:
+    site = ground_site(np.zeros((SIDE, SIDE), np.bool_))
+    one, same, other = (roam_course(site, UGV, 80.0, seed).points for seed in (1, 1, 2))
+    assert np.array_equal(one, same)
+    assert not np.array_equal(one[:2], other[:2])
+
+
+def test_a_site_without_room_is_refused() -> None:
+    with pytest.raises(ArgumentError, match="no place with 0.6 m of free ground"):
+        roam_course(ground_site(np.ones((SIDE, SIDE), np.bool_)), UGV, 50.0, 0)
