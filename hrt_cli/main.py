@@ -48,6 +48,10 @@ COMMANDS = {
         "hrt_commands.drive:drive",
         "Drive PLAN on a site in simulation and log what the robot would have logged, never the truth.",
     ),
+    "steer": (
+        "hrt_commands.steer:steer",
+        "Predict with MODEL how to steer in INPUTS: pictures, folders of pictures, recordings or videos.",
+    ),
     "evaluate": ("hrt_commands.evaluate:evaluate", "Measure a segmentation, plans or drives."),
     "verify": ("hrt_commands.verify:verify", "Check artifacts against the provenance they carry."),
 }

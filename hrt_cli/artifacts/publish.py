@@ -57,6 +57,39 @@ def publishing(target: Path, check: Callable[[Path], object]) -> Iterator[Path]:
         raise output_error(target, error) from error
 
 
+@contextmanager
+def publishing_folder(target: Path, check: Callable[[Path], object]) -> Iterator[Path]:
+    """Yield an empty folder to fill; on a clean exit publish it as `target`, in place of the folder that stands there.
+
+    Parameters
+    ----------
+    target : Path
+        Where the finished folder goes. The folder that it lies in must exist.
+    check : callable
+        As in `publishing`.
+
+    Raises
+    ------
+    OutputError
+        As `publishing`.
+    """
+    try:
+        with _work_folder(target) as work:
+            draft = work / target.name
+            draft.mkdir()
+            yield draft
+            check(draft)
+            for path in sorted(draft.iterdir()):
+                with open(path, "rb+") as file:
+                    os.fsync(file.fileno())
+            if target.exists():
+                os.replace(target, work / f"{target.name}.old")
+            os.replace(draft, target)
+            _sync_folder(target.parent)
+    except OSError as error:
+        raise output_error(target, error) from error
+
+
 def output_error(target: Path, error: OSError) -> OutputError:
     """Say in one line why `target` could not be written."""
     if error.errno == errno.ENOSPC:
@@ -148,7 +181,11 @@ def _replace(draft: Path, target: Path, work: Path) -> None:
     for path in companions:
         os.replace(path, target.parent / path.name)
     os.replace(draft, target)
-    descriptor = os.open(target.parent, os.O_RDONLY)
+    _sync_folder(target.parent)
+
+
+def _sync_folder(folder: Path) -> None:
+    descriptor = os.open(folder, os.O_RDONLY)
     try:
         os.fsync(descriptor)
     finally:

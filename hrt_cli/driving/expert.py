@@ -67,20 +67,22 @@ class GroundExpert:
 
     def steer(self, pose: Pose) -> Command | None:
         """Return the command at a true pose."""
+        here = self._map.nearest_passable(pose.east_m, pose.south_m, _ESCAPE_M)
+        if here is None or not self._has_target(pose, here):
+            return None
+        if here != self._map.cell(pose.east_m, pose.south_m):
+            return steer_to(pose, *self._map.middle(here))  # too near to an obstacle, or on it: away from it first
+        return steer_to(pose, *self._aim(pose, here))
+
+    def _has_target(self, pose: Pose, here: Cell) -> bool:
+        """Keep the target until it is reached, then take another, or say that there is none."""
         if self._target is not None:
             left = math.hypot(self._target[0] - pose.east_m, self._target[1] - pose.south_m)
             exact = self._target_m >= self._course.length_m or self._course.is_tip(self._target_m)
             if left < (_REACHED_M if exact else _TARGET_M / 2):
                 self.along_m = self._target_m
                 self._target = None
-        here = self._map.nearest_passable(pose.east_m, pose.south_m, _ESCAPE_M)
-        if here is None:
-            return None
-        if (self._target is None or not math.isfinite(float(self._to_go[here]))) and not self._choose(here):
-            return None
-        if here != self._map.cell(pose.east_m, pose.south_m):
-            return steer_to(pose, *self._map.middle(here))  # too near to an obstacle, or on it: away from it first
-        return steer_to(pose, *self._aim(pose, here))
+        return (self._target is not None and math.isfinite(float(self._to_go[here]))) or self._choose(here)
 
     def _choose(self, here: Cell) -> bool:
         """Take the next place on the course that can be reached, or say that there is none."""

@@ -34,11 +34,13 @@ class Goal:
     ----------
     along_m : float
         How far along the course it has come.
+    aim_m : float
+        How far along it the goal lies.
     """
 
     def __init__(self, course: Course) -> None:
         self._course = course
-        self.along_m = 0.0
+        self.along_m = self.aim_m = 0.0
         self._best_m, self._waited = 0.0, 0
 
     def bearing_rad(self, known: Pose) -> float:
@@ -58,11 +60,11 @@ class Goal:
             self._rejoin(east_m, south_m, off_m)
         self._give_up()
         while True:
-            ahead = course.ahead(self.along_m, AHEAD_M)
-            aim = course.point(ahead)
+            self.aim_m = course.ahead(self.along_m, AHEAD_M)
+            aim = course.point(self.aim_m)
             if self.along_m >= course.length_m or math.hypot(aim[0] - east_m, aim[1] - south_m) > _THERE_M:
                 return aim
-            self.along_m = ahead
+            self.along_m = self.aim_m
 
     def _rejoin(self, east_m: float, south_m: float, off_m: float) -> None:
         """Go on from a later stretch of the course that is much nearer."""

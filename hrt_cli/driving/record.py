@@ -17,10 +17,11 @@ import cv2
 from hrt_cli.artifacts.carriers import publish_json
 from hrt_cli.artifacts.provenance import Provenance
 from hrt_cli.artifacts.publish import publishing
-from hrt_cli.driving.goal import AHEAD_M, Goal
+from hrt_cli.driving.goal import AHEAD_M
 from hrt_cli.driving.lens import camera_of, look
-from hrt_cli.driving.local import Command, LocalPlanner, Pose
+from hrt_cli.driving.local import Command, Pose
 from hrt_cli.driving.simulator import Setting
+from hrt_cli.driving.teacher import GroundTeacher
 from hrt_cli.errors import OutputError
 
 LABELS, FRAMES, ABOUT = "labels.csv", "frames", "recording.json"
@@ -35,23 +36,25 @@ class Recorder:
     Parameters
     ----------
     setting : Setting
-    teacher : LocalPlanner
+    teacher : GroundTeacher
         The expert, of its own: it is asked only here.
     folder : Path
         Gets `frames/000000.jpg`, ... as the drive goes on, and in the end `labels.csv` and `recording.json`.
     """
 
-    def __init__(self, setting: Setting, teacher: LocalPlanner, folder: Path) -> None:
+    def __init__(self, setting: Setting, teacher: GroundTeacher, folder: Path) -> None:
         self._setting, self._teacher, self._folder = setting, teacher, folder
-        self._camera, self._goal = camera_of(setting.site, setting.seed), Goal(setting.course)
+        self._camera = camera_of(setting.site, setting.seed)
         self._rows: list[tuple[str, float, float, float]] = []
         self._due_s = 0.0
 
     def watch(self, time_s: float, known: Pose, true: Pose, command: Command) -> None:
         """Take a frame if one is due; where the expert sees no way on there is nothing to teach."""
-        wanted = self._teacher.decide(known, true)
-        bearing = self._goal.bearing_rad(known)
-        if time_s < self._due_s or wanted is None:
+        self._teacher.follow(known)
+        if time_s < self._due_s:
+            return
+        wanted = self._teacher.steer(true)
+        if wanted is None:
             return
         self._due_s = time_s + EVERY_S
         number = len(self._rows)
@@ -65,7 +68,7 @@ class Recorder:
             (self._folder / name).write_bytes(data.tobytes())
         except OSError as error:
             raise OutputError(f"{self._folder / name}: cannot be written: {error.strerror}") from error
-        self._rows.append((name, wanted.yaw, wanted.pitch, bearing))
+        self._rows.append((name, wanted.yaw, wanted.pitch, self._teacher.bearing_rad))
 
     def finish(self, session: str, provenance: Provenance) -> int:
         """Write the labels; return how many frames there are."""

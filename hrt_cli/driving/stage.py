@@ -21,6 +21,7 @@ from hrt_cli.driving.record import ABOUT, Recorder, prepare_folder
 from hrt_cli.driving.roam import roam_course
 from hrt_cli.driving.route import planned_course
 from hrt_cli.driving.simulator import Drive, Setting, first_heading, simulate, unwatched
+from hrt_cli.driving.teacher import teacher_of
 from hrt_cli.driving.vehicle import VEHICLES, Vehicle
 from hrt_cli.errors import ArgumentError, InputError
 from hrt_cli.progress import Progress, silent
@@ -146,7 +147,7 @@ def drive_file(
         watch, recorder = unwatched, None
         if record is not None:
             prepare_folder(record, list(inputs.values()), overwrite=existing.overwrite or existing.force)
-            recorder = Recorder(setting, local_planner("expert", setting), record)
+            recorder = Recorder(setting, teacher_of(setting), record)
             watch = recorder.watch
         drive = simulate(setting, local, watch=watch, progress=progress)
         robot = Robot(kind=vehicle.kind, radius_m=vehicle.radius_m)

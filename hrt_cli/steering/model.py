@@ -31,7 +31,7 @@ MAX_BYTES = 2 * 2**30
 
 class _Header(Document):
     format: Literal["hrt-steering"]
-    version: int
+    version: Literal[1]
     config: SteeringConfig
     provenance: Provenance
 

@@ -99,8 +99,11 @@ class SteeringNet(nn.Module):
 
     def features(self, pictures: Tensor, goal: Tensor | None = None) -> Tensor:
         """Return what the last layer sees, float [n, features]; see `forward`."""
-        seen = self.trunk(pictures, self.spatial).float()
-        columns = nn.functional.adaptive_avg_pool2d(seen, (1, self.config.columns)).flatten(1)
+        return self.gathered(self.trunk(pictures, self.spatial), goal)
+
+    def gathered(self, seen: Tensor, goal: Tensor | None = None) -> Tensor:
+        """Return `features` of what the trunk saw, float [n, 512, rows, cols]."""
+        columns = nn.functional.adaptive_avg_pool2d(seen.float(), (1, self.config.columns)).flatten(1)
         if self.merge is None:
             return columns
         if goal is None:

@@ -8,10 +8,12 @@ from typing import Protocol
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from torch import Tensor
 
 from hrt_cli.steering.model import read_model
 from hrt_cli.steering.network import Output, SteeringConfig, SteeringNet
 from hrt_cli.steering.pictures import prepare
+from hrt_cli.steering.saliency import Layer, angle_maps
 
 Distributions = dict[Output, NDArray[np.float64]]
 """By output, probabilities of the classes."""
@@ -52,10 +54,52 @@ class TorchPredictor:
         """See `Predictor`."""
         seen = torch.from_numpy(prepare(pictures, self.config)).contiguous(memory_format=torch.channels_last)
         logits = self._net(seen, None if goal is None else torch.from_numpy(goal))
-        return {
-            name: torch.softmax(values.double() / self.config.temperature.get(name, 1.0), dim=-1).numpy()
-            for name, values in logits.items()
-        }
+        return {name: values.numpy() for name, values in self._probability(logits).items()}
+
+    @torch.inference_mode()
+    def sampled(
+        self, pictures: NDArray[np.uint8], goal: NDArray[np.float32] | None, passes: int, seed: int
+    ) -> Distributions:
+        """Return the distributions of networks drawn by dropout, float64 [passes, n, 2M + 1].
+
+        Monte-Carlo dropout (Gal and Ghahramani 2016, arXiv:1506.02142). Every picture is shown to the same `passes`
+        networks, so that its answers do not depend on what else is in the batch. Only what dropout changes is computed
+        anew in each pass. torch's own generator is left as it was.
+
+        Parameters
+        ----------
+        pictures, goal
+            As in `Predictor.probabilities`.
+        passes : int
+            Networks to draw, at least 1.
+        seed : int
+            Of the masks.
+        """
+        net = self._net
+        seen = torch.from_numpy(prepare(pictures, self.config)).contiguous(memory_format=torch.channels_last)
+        goals = None if goal is None else torch.from_numpy(goal)
+        fixed = net.features(seen, goals) if net.spatial is None else net.trunk.layer4[0](net.trunk.to_layer3(seen))
+        drawn = []
+        with torch.random.fork_rng(devices=[]), net.sampling():
+            for index in range(len(fixed)):
+                torch.manual_seed(seed)
+                features = fixed[index].expand(passes, *fixed.shape[1:])
+                if net.spatial is not None:
+                    told = None if goals is None else goals[index].expand(passes)
+                    features = net.gathered(net.trunk.end(features, net.spatial), told)
+                drawn.append(self._probability(net.logits(features)))
+        return {name: torch.stack([each[name] for each in drawn], dim=1).numpy() for name in self.config.outputs}
+
+    def saliency(
+        self, pictures: NDArray[np.uint8], goal: NDArray[np.float32] | None, output: Output, layer: Layer
+    ) -> NDArray[np.float32]:
+        """Return what in the pictures turned the expected angle of one output; see `saliency.angle_maps`."""
+        seen = torch.from_numpy(prepare(pictures, self.config))
+        return angle_maps(self._net, seen, None if goal is None else torch.from_numpy(goal), output, layer=layer)
+
+    def _probability(self, logits: dict[Output, Tensor]) -> dict[Output, Tensor]:
+        temperature = self.config.temperature
+        return {name: torch.softmax(each.double() / temperature.get(name, 1.0), -1) for name, each in logits.items()}
 
 
 def load_predictor(path: Path) -> Predictor:

@@ -7,6 +7,7 @@ publishes as `resnet18`.
 from __future__ import annotations
 
 import pickle
+import warnings
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -64,10 +65,18 @@ class ResNet18(nn.Module):
 
     def forward(self, x: Tensor, dropout: nn.Module | None = None) -> Tensor:
         """See the class; `dropout` goes before the last convolution."""
+        return self.end(self.layer4[0](self.to_layer3(x)), dropout)
+
+    def to_layer3(self, x: Tensor) -> Tensor:
+        """Return what the last but one stage gives, float [n, 256, ceil(h / 16), ceil(w / 16)]."""
         x = self.maxpool(self.relu(self.bn1(self.conv1(x))))
-        x = self.layer3(self.layer2(self.layer1(x)))
+        seen: Tensor = self.layer3(self.layer2(self.layer1(x)))
+        return seen
+
+    def end(self, x: Tensor, dropout: nn.Module | None = None) -> Tensor:
+        """Return features from what the first block of the last stage gives: all that `dropout` changes."""
         last: nn.Module = self.layer4[1]
-        features: Tensor = last(self.layer4[0](x), dropout)
+        features: Tensor = last(x, dropout)
         return features
 
 
@@ -106,10 +115,11 @@ def _tensors(path: Path) -> dict[str, Tensor]:
     if not path.is_file():
         raise InputError(path, "no such file")
     try:
-        found = torch.load(path, map_location="cpu", weights_only=True)
+        with warnings.catch_warnings(action="ignore"):  # PyTorch muses about the pickles of others
+            found = torch.load(path, map_location="cpu", weights_only=True)
     except pickle.UnpicklingError as error:
         raise InputError(path, "is not a file of weights alone, and nothing else is read from it") from error
-    except (RuntimeError, EOFError, ValueError, KeyError, AttributeError, TypeError, OSError) as error:
+    except Exception as error:  # in a damaged file the unpickler stumbles over anything
         raise InputError(path, "is no file of weights that PyTorch wrote, or a damaged one") from error
     if not isinstance(found, Mapping) or not all(
         isinstance(name, str) and isinstance(tensor, Tensor) for name, tensor in found.items()

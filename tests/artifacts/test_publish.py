@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import errno
 import fcntl
 import os
 import random
@@ -14,7 +15,7 @@ from pathlib import Path
 import pytest
 
 import hrt_cli
-from hrt_cli.artifacts.publish import check_target, publishing, sweep
+from hrt_cli.artifacts.publish import check_target, publishing, publishing_folder, sweep
 from hrt_cli.errors import OutputError
 
 ROOT = Path(hrt_cli.__file__).parents[1]
@@ -380,3 +381,35 @@ def test_a_signal_just_after_the_folder_was_made_leaves_nothing(
     with pytest.raises(KeyboardInterrupt), publishing(tmp_path / "out.txt", lambda draft: None):
         pass
     assert not any(tmp_path.iterdir())
+
+
+def test_a_folder_appears_whole_in_place_of_the_old_one(tmp_path: Path) -> None:
+    target = tmp_path / "out"
+    for text in ("old", "new"):
+        with publishing_folder(target, Path.iterdir) as draft:
+            (draft / "a").write_text(text)
+            if text == "old":
+                (draft / "b").write_text(text)
+                assert not target.exists()
+            else:
+                assert sorted(path.name for path in target.iterdir()) == ["a", "b"]
+    assert [(path.name, path.read_text()) for path in target.iterdir()] == [("a", "new")]
+    assert [path.name for path in tmp_path.iterdir()] == ["out"]
+
+
+def test_a_folder_that_fails_leaves_the_old_one(tmp_path: Path) -> None:
+    target = tmp_path / "out"
+    target.mkdir()
+    (target / "a").write_text("old")
+
+    def bad(folder: Path) -> None:
+        raise OutputError(f"{folder.name}: damaged")
+
+    with pytest.raises(OutputError, match="damaged"), publishing_folder(target, bad) as draft:
+        (draft / "a").write_text("new")
+    with pytest.raises(OutputError, match="No space left"), publishing_folder(target, Path.iterdir):
+        raise OSError(errno.ENOSPC, "No space left on device")
+    with pytest.raises(KeyboardInterrupt), publishing_folder(target, Path.iterdir):
+        raise KeyboardInterrupt
+    assert (target / "a").read_text() == "old"
+    assert [path.name for path in tmp_path.iterdir()] == ["out"]

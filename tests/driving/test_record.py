@@ -19,7 +19,8 @@ from hrt_cli.driving.course import Course
 from hrt_cli.driving.local import Command, Pose
 from hrt_cli.driving.record import ABOUT, EVERY_S, FRAMES, LABELS, Recorder, prepare_folder
 from hrt_cli.driving.simulator import Setting, simulate
-from hrt_cli.driving.stage import DriveRequest, DriveSummary, drive_file, local_planner
+from hrt_cli.driving.stage import DriveRequest, DriveSummary, drive_file
+from hrt_cli.driving.teacher import teacher_of
 from hrt_cli.driving.vehicle import UGV
 from hrt_cli.errors import OutputError
 from hrt_cli.main import cli
@@ -114,7 +115,7 @@ def test_labels_are_the_experts_whoever_drives(tmp_path: Path, off_deg: float, s
     course = Course(np.array([[2.0, 8.0], [14.0, 8.0]]))
     setting = Setting(site, UGV, course, 1.0, 8.0, math.radians(90.0 + off_deg), 0)
     prepare_folder(tmp_path / "rec", [], overwrite=False)
-    recorder = Recorder(setting, local_planner("expert", setting), tmp_path / "rec")
+    recorder = Recorder(setting, teacher_of(setting), tmp_path / "rec")
     seen: list[tuple[float, Command]] = []
 
     def watch(time_s: float, known: Pose, true: Pose, command: Command) -> None:
@@ -145,13 +146,8 @@ def test_where_the_expert_sees_no_way_on_nothing_is_taught(tmp_path: Path) -> No
     site = ground_site(obstacle)
     setting = Setting(site, UGV, Course(np.array([[2.0, 8.0], [14.0, 8.0]])), 1.0, 4.0, math.pi / 2, 0)
     prepare_folder(tmp_path / "rec", [], overwrite=False)
-    teacher = local_planner("expert", setting)
-    recorder = Recorder(setting, teacher, tmp_path / "rec")
-    pose = Pose(7.0, 8.0, 0.0, math.pi / 2, 0.0)
-    while teacher.decide(pose, pose) is not None:
-        teacher.along_m += 1.0  # what lies before it is behind
-        teacher._target = None
-        assert teacher.along_m < 20
+    recorder = Recorder(setting, teacher_of(setting), tmp_path / "rec")
+    pose = Pose(11.0, 8.0, 0.0, math.pi / 2, 0.0)  # in the midst of it
     recorder.watch(0.0, pose, pose, Command(0.0))
     assert recorder._rows == []
     assert not list((tmp_path / "rec" / FRAMES).iterdir())

@@ -41,5 +41,5 @@ def test_seeds_differ_and_repeat() -> None:
 
 
 def test_a_site_without_room_is_refused() -> None:
-    with pytest.raises(ArgumentError, match="no place with 0.6 m of free ground"):
+    with pytest.raises(ArgumentError, match=r"no place with 0\.6 m of free ground"):
         roam_course(ground_site(np.ones((SIDE, SIDE), np.bool_)), UGV, 50.0, 0)

@@ -1,0 +1,64 @@
+"""The expert as a teacher: it makes for the very goal that a learner is told, by the cheapest way over the true ground.
+
+An expert that follows the course in its own way turns where a learner cannot know why. What it does on the way to a
+goal depends on what lies about the robot, and that a camera sees.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hrt_cli.driving.course import Course
+from hrt_cli.driving.expert import GroundExpert, WaterExpert
+from hrt_cli.driving.field import Cell
+from hrt_cli.driving.goal import Goal
+from hrt_cli.driving.local import Command, Pose
+from hrt_cli.driving.simulator import Setting
+from hrt_cli.driving.vehicle import Vehicle
+from hrt_cli.world.site import Site
+
+_BEYOND_M, _STEP_M = 15.0, 0.2
+"""A goal that cannot be reached stands for the next place on the course that can."""
+
+
+class GroundTeacher(GroundExpert):
+    """Makes for the goal of a robot on the ground.
+
+    Attributes
+    ----------
+    bearing_rad : float
+        What the learner is told at the last decision (`goal.Goal`).
+    """
+
+    def __init__(self, site: Site, course: Course, vehicle: Vehicle) -> None:
+        super().__init__(site, course, vehicle)
+        self._goal = Goal(course)
+        self.bearing_rad = 0.0
+
+    def follow(self, known: Pose) -> None:
+        """Take in where the robot is; to be called at every decision."""
+        self.bearing_rad = self._goal.bearing_rad(known)
+        self.along_m = self._goal.along_m
+
+    def decide(self, known: Pose, true: Pose) -> Command | None:
+        """See `LocalPlanner`."""
+        self.follow(known)
+        return self.steer(true)
+
+    def _has_target(self, pose: Pose, here: Cell) -> bool:
+        first, end = self._goal.aim_m, self._course.length_m
+        for at in np.arange(first, min(first + _BEYOND_M, end) + _STEP_M, _STEP_M).clip(max=end).tolist():
+            place = self._course.point(at)
+            if self._map.passable(*place) and self._take(at, here):
+                return True
+        return False
+
+
+class WaterTeacher(GroundTeacher, WaterExpert):
+    """Likewise under water, at the depth that the expert keeps."""
+
+
+def teacher_of(setting: Setting) -> GroundTeacher:
+    """Return the teacher for a drive."""
+    kind = WaterTeacher if setting.vehicle.kind == "auv" else GroundTeacher
+    return kind(setting.site, setting.course, setting.vehicle)

@@ -1,0 +1,112 @@
+"""The network: what it is told, what it answers, what of it is penalised and what decays."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import pytest
+import torch
+from predict_files import FixedTrunk, small_net
+from pydantic import ValidationError
+
+from hrt_cli.steering.network import SteeringConfig, SteeringNet
+
+
+@pytest.fixture(scope="module")
+def net() -> SteeringNet:
+    return small_net()
+
+
+@pytest.fixture(scope="module")
+def full() -> SteeringNet:
+    return small_net(outputs=("yaw", "pitch"), half_classes=3, goal=True, columns=2, spatial_dropout=True)
+
+
+def test_logits_of_each_output(net: SteeringNet, full: SteeringNet) -> None:
+    x = torch.randn(2, 3, 48, 64)
+    assert {name: tuple(each.shape) for name, each in net(x).items()} == {"yaw": (2, 15)}
+    found = full(x, torch.zeros(2))
+    assert {name: tuple(each.shape) for name, each in found.items()} == {"yaw": (2, 7), "pitch": (2, 7)}
+
+
+def test_one_column_is_the_mean_over_the_picture(net: SteeringNet) -> None:
+    x = torch.randn(2, 3, 48, 64)
+    with torch.no_grad():
+        torch.testing.assert_close(net.features(x), net.trunk(x).mean((2, 3)))
+        torch.testing.assert_close(net(x)["yaw"], net.heads["yaw"](net.trunk(x).mean((2, 3))))
+
+
+def test_columns_keep_left_and_right_apart() -> None:
+    net = small_net(columns=2)
+    maps = torch.rand(1, 512, 2, 4)
+    net.trunk = FixedTrunk(maps)  # type: ignore[assignment]
+    found = net.features(torch.zeros(1, 3, 48, 64)).view(512, 2)
+    torch.testing.assert_close(
+        found, 3 * torch.stack([maps[0, :, :, :2].mean((1, 2)), maps[0, :, :, 2:].mean((1, 2))], 1)
+    )
+
+
+def test_a_goal_must_be_given_and_counts_by_its_direction(full: SteeringNet) -> None:
+    x = torch.randn(1, 3, 48, 64)
+    with pytest.raises(ValueError, match="where to go"):
+        full(x)
+    with torch.no_grad():
+        ahead, around, right = (full(x, torch.tensor([angle]))["yaw"] for angle in (0.0, 2 * math.pi, 0.8))
+    torch.testing.assert_close(ahead, around, atol=1e-4, rtol=1e-4)
+    assert not torch.allclose(ahead, right, atol=1e-4)
+
+
+def test_the_penalty_is_the_sum_over_the_layers(net: SteeringNet, full: SteeringNet) -> None:
+    def by_hand(weights: list[torch.Tensor], features: int, p: float) -> float:
+        square = sum(float((each.double() ** 2).sum()) for each in weights)
+        return 1e-3 * square / (1 - p) + 1e-2 * features * (p * math.log(p) + (1 - p) * math.log(1 - p))
+
+    decays = {"weight_decay": 1e-3, "dropout_decay": 1e-2}
+    heads = [net.heads["yaw"].weight]
+    assert float(net.penalty(**decays).detach()) == pytest.approx(by_hand(heads, 512, 0.1), rel=1e-4)
+    heads = [full.heads["yaw"].weight, full.heads["pitch"].weight]
+    fed = by_hand([full.trunk.layer4[1].conv2.weight], 512, 0.1)
+    assert float(full.penalty(**decays).detach()) == pytest.approx(by_hand(heads, 128 + 24, 0.1) + fed, rel=1e-4)
+
+
+def test_what_the_regulariser_holds_is_not_decayed_again(full: SteeringNet) -> None:
+    kept = full.undecayed()
+    assert {"heads.yaw.weight", "heads.pitch.weight", "trunk.layer4.1.conv2.weight"} <= kept
+    assert {"dropout.p_logit", "spatial.p_logit", "trunk.bn1.weight", "heads.yaw.bias", "merge.0.bias"} <= kept
+    assert not {"trunk.conv1.weight", "merge.0.weight", "trunk.layer4.0.conv2.weight"} & kept
+    assert kept <= dict(full.named_parameters()).keys()
+
+
+def test_sampling_ends_however_it_ends(full: SteeringNet) -> None:
+    x, goal = torch.randn(1, 3, 48, 64), torch.zeros(1)
+    with torch.no_grad():
+        before = full(x, goal)["yaw"]
+        with full.sampling():
+            assert not torch.equal(full(x, goal)["yaw"], full(x, goal)["yaw"])
+        with pytest.raises(RuntimeError, match="stop"), full.sampling():
+            raise RuntimeError("stop")
+        assert torch.equal(full(x, goal)["yaw"], before)
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"outputs": ("pitch",)},
+        {"outputs": ("pitch", "yaw")},
+        {"outputs": ()},
+        {"half_classes": 0},
+        {"half_classes": 128},
+        {"width": 31},
+        {"std": (0.0, 0.1, 0.1)},
+        {"mean": (math.nan, 0.0, 0.0)},
+        {"temperature": {"pitch": 1.0}},
+        {"temperature": {"yaw": 0.0}},
+        {"columns": 0},
+        {"crop_top": 0.95},
+        {"layers": 18},
+    ],
+)
+def test_configurations_that_make_no_sense(wrong: dict[str, Any]) -> None:
+    with pytest.raises(ValidationError):
+        SteeringConfig(**wrong)
