@@ -17,9 +17,13 @@ KINDS = {
         "bound.",
     ),
     "drive": ("hrt_commands.evaluate_drive:drive", "Measure the drives in LOGS, in order, of one robot."),
+    "steer": (
+        "hrt_commands.evaluate_steer:steer",
+        "Measure MODEL, a .safetensors or an exported .onnx, on the recordings in the folders DATA.",
+    ),
 }
 
 
 @click.group(cls=LazyGroup, table=KINDS)
 def evaluate() -> None:
-    """Measure a segmentation, plans or drives."""
+    """Measure a segmentation, plans, drives or a steering model."""

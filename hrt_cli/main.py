@@ -48,11 +48,19 @@ COMMANDS = {
         "hrt_commands.drive:drive",
         "Drive PLAN on a site in simulation and log what the robot would have logged, never the truth.",
     ),
+    "train-steer": (
+        "hrt_commands.train_steer:train_steer",
+        "Train a network on DATA that steers from what the camera sees.",
+    ),
     "steer": (
         "hrt_commands.steer:steer",
         "Predict with MODEL how to steer in INPUTS: pictures, folders of pictures, recordings or videos.",
     ),
-    "evaluate": ("hrt_commands.evaluate:evaluate", "Measure a segmentation, plans or drives."),
+    "export-steer": (
+        "hrt_commands.export_steer:export_steer",
+        "Write a steering MODEL as ONNX, which robots run without PyTorch.",
+    ),
+    "evaluate": ("hrt_commands.evaluate:evaluate", "Measure a segmentation, plans, drives or a steering model."),
     "verify": ("hrt_commands.verify:verify", "Check artifacts against the provenance they carry."),
 }
 """Subcommand -> (module:attribute, the first paragraph of its help, so that `hrt --help` imports none of them)."""

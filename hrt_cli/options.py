@@ -85,6 +85,28 @@ class Range(click.ParamType):  # type: ignore[type-arg]
         return low, high
 
 
+class Size(click.ParamType):  # type: ignore[type-arg]
+    """A width and a height in pixels written `WIDTHxHEIGHT`, each in an interval."""
+
+    name = "WIDTHxHEIGHT"
+
+    def __init__(self, low: int, high: int) -> None:
+        self.low, self.high = low, high
+
+    def convert(  # noqa: D102
+        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
+    ) -> tuple[int, int]:
+        if isinstance(value, tuple):
+            return value
+        parts = re.fullmatch(r"([1-9][0-9]{0,4})x([1-9][0-9]{0,4})", str(value))
+        if parts is None:
+            self.fail(f"{value!r} is not of the form WIDTHxHEIGHT, such as 160x120", param, ctx)
+        width, height = int(parts[1]), int(parts[2])
+        if not (self.low <= width <= self.high and self.low <= height <= self.high):
+            self.fail(f"{value!r} is not from {self.low}x{self.low} to {self.high}x{self.high}", param, ctx)
+        return width, height
+
+
 class NameValue(click.ParamType):  # type: ignore[type-arg]
     """A pair written `NAME=VALUE`."""
 

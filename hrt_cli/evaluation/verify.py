@@ -13,6 +13,15 @@ from hrt_cli.artifacts.provenance import Provenance, file_sha256
 from hrt_cli.artifacts.stage import ReadProvenance
 from hrt_cli.errors import HrtError, InputError
 from hrt_cli.raster.cog import cog_provenance
+from hrt_cli.steering.onnx_file import onnx_provenance
+
+
+def _model_provenance(path: Path) -> Provenance | None:
+    # Only here: PyTorch takes a second to import.
+    from hrt_cli.steering.model import model_provenance
+
+    return model_provenance(path)
+
 
 _READERS: dict[str, ReadProvenance] = {
     ".tif": cog_provenance,
@@ -22,6 +31,8 @@ _READERS: dict[str, ReadProvenance] = {
     ".geojson": json_provenance,
     ".png": png_provenance,
     ".jsonl": drive_provenance,
+    ".onnx": onnx_provenance,
+    ".safetensors": _model_provenance,
 }
 
 Verdict = Literal["ok", "changed", "damaged", "unsigned"]

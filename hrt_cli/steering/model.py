@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 import torch
-from pydantic import ValidationError
+from pydantic import JsonValue, ValidationError
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import save_file
 from torch import Tensor
@@ -33,19 +33,29 @@ class _Header(Document):
     format: Literal["hrt-steering"]
     version: Literal[1]
     config: SteeringConfig
+    training: dict[str, JsonValue] | None = None
     provenance: Provenance
 
 
-def publish_model(target: Path, net: SteeringNet, config: SteeringConfig, provenance: Provenance) -> None:
+def publish_model(
+    target: Path,
+    net: SteeringNet,
+    config: SteeringConfig,
+    provenance: Provenance,
+    training: dict[str, Any] | None = None,
+) -> None:
     """Publish a network's weights with its configuration.
 
     Parameters
     ----------
     config : SteeringConfig
         What to write as the network's: it may say more than `net.config`, such as temperatures.
+    training : dict, optional
+        How it was trained, as JSON values: for people and figures; no prediction depends on it.
     """
     tensors = {name: tensor.detach().cpu().contiguous() for name, tensor in net.state_dict().items()}
-    publish_tensors(target, tensors, {"format": FORMAT, "version": VERSION, "config": _plain(config)}, provenance)
+    document = {"format": FORMAT, "version": VERSION, "config": _plain(config)}
+    publish_tensors(target, tensors, document | ({"training": training} if training else {}), provenance)
 
 
 def read_model(path: Path) -> SteeringNet:
@@ -87,6 +97,12 @@ def model_provenance(path: Path) -> Provenance | None:
     return read_tensors(path)[2]
 
 
+def read_training(path: Path) -> dict[str, Any] | None:
+    """Read how a steering model was trained, as `publish_model` was told; None where it does not say."""
+    found = read_tensors(path)[1].get("training")
+    return found if isinstance(found, dict) else None
+
+
 def publish_tensors(target: Path, tensors: dict[str, Tensor], document: dict[str, Any], provenance: Provenance) -> None:
     """Publish tensors and a JSON document as safetensors with their provenance.
 
@@ -98,7 +114,10 @@ def publish_tensors(target: Path, tensors: dict[str, Tensor], document: dict[str
     stamped = provenance.with_content(_content_sha256(tensors, document))
     text = canonical({**document, "provenance": stamped.model_dump(mode="json")}).decode()
     with publishing(target, model_provenance) as draft:
+        draft.touch()
+        mode = draft.stat().st_mode
         save_file(tensors, draft, metadata={_KEY: text})
+        draft.chmod(mode)  # the library's own is 0600, whatever the user's umask
 
 
 def read_tensors(path: Path) -> tuple[dict[str, Tensor], dict[str, Any], Provenance | None]:

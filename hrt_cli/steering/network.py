@@ -23,6 +23,7 @@ _HIDDEN = 128
 """Units in which what is seen and where to go meet."""
 _BEARINGS = 24
 """Directions all round by which a bearing is told: 15 degrees apart."""
+SHARPNESS = math.log(2.0) / (1.0 - math.cos(math.pi / _BEARINGS))
 
 
 class SteeringConfig(Document):
@@ -161,16 +162,19 @@ class SteeringNet(nn.Module):
 def told(goal: Tensor) -> Tensor:
     """Return bearings as the network is told them, float [n, 24]: one near each of 24 directions, falling off to 0.
 
-    exp(k (cos(goal - d) - 1)) for the directions d, with k so that it is half between two of them.
+    exp(k (cos(goal - d) - 1)) for the directions d, with k so that it is 1/2 midway between two of them.
 
     Parameters
     ----------
     goal : float [n]
         Radians.
     """
-    directions = torch.arange(_BEARINGS, dtype=goal.dtype, device=goal.device) * (2.0 * math.pi / _BEARINGS)
-    sharp = math.log(2.0) / (1.0 - math.cos(math.pi / _BEARINGS))
-    return torch.exp(sharp * (torch.cos(goal[:, None] - directions) - 1.0))
+    return torch.exp(SHARPNESS * (torch.cos(goal[:, None] - directions().to(goal)) - 1.0))
+
+
+def directions() -> Tensor:
+    """Return the directions by which a bearing is told, float32 [24] in radians."""
+    return torch.arange(_BEARINGS) * (2.0 * math.pi / _BEARINGS)
 
 
 def total_loss(

@@ -103,5 +103,9 @@ class TorchPredictor:
 
 
 def load_predictor(path: Path) -> Predictor:
-    """Return what predicts by a model file (`model.read_model`)."""
+    """Return what predicts by a model file: one that was exported (`.onnx`), or a model itself (`model.read_model`)."""
+    if path.suffix.lower() == ".onnx":
+        from hrt_cli.steering.onnx_model import OnnxPredictor
+
+        return OnnxPredictor(path)
     return TorchPredictor(read_model(path))

@@ -12,7 +12,8 @@ import pytest
 from hrt_cli.main import COMMANDS
 
 ENV = {**os.environ, "PATH": f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"}
-NAMES = [name for name in COMMANDS if name != "evaluate"] + ["evaluate segment", "evaluate plan", "evaluate drive"]
+KINDS = ("segment", "plan", "drive", "steer")
+NAMES = [name for name in COMMANDS if name != "evaluate"] + [f"evaluate {kind}" for kind in KINDS]
 
 pytestmark = pytest.mark.slow
 

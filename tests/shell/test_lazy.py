@@ -37,7 +37,7 @@ def test_help_imports_no_command() -> None:
 
 def test_the_kinds_of_evaluate() -> None:
     context = click.Context(evaluate)
-    assert evaluate.list_commands(context) == list(KINDS) == ["segment", "plan", "drive"]
+    assert evaluate.list_commands(context) == list(KINDS) == ["segment", "plan", "drive", "steer"]
     for name in KINDS:
         command = evaluate.get_command(context, name)
         assert command.name == name

@@ -1,0 +1,108 @@
+"""`hrt evaluate steer`: how far off a steering model is, and whether it knows it."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from hrt_cli import options as opt
+from hrt_cli.artifacts.stage import Existing
+from hrt_cli.errors import DifferenceError
+from hrt_cli.progress import Console
+
+if TYPE_CHECKING:
+    from hrt_cli.evaluation.steering import SteerMeasure
+
+
+@click.command(
+    epilog="""\b
+Example:
+  hrt synth site --scene meadow --size 40
+  hrt segment site/ortho.tif -o site/classes.tif --classes 6
+  hrt scoremap site/classes.tif -o site/scoremap.tif
+  hrt plan site/scoremap.tif -o site/plan.json --start auto --budget 1min
+  hrt drive site/plan.json --world site -o site/drive.jsonl --local expert --record site/seen
+  hrt train-steer site/seen -o site/steer.safetensors --size 64x48 --epochs 1
+  hrt evaluate steer site/steer.safetensors site/seen --figure site/steer.png
+"""
+)
+@click.argument("model", type=opt.PATH)
+@click.argument("data", nargs=-1, required=True, type=opt.PATH)
+@click.option("--require-mae", type=opt.FiniteFloat(0), help="Exit with 3 if the mean absolute error is larger.")
+@click.option(
+    "--require-better-than-constant",
+    is_flag=True,
+    help="Exit with 3 unless the error is smaller than that of always steering the median of the labels.",
+)
+@click.option("--skip-bad", is_flag=True, help="Leave out frames that cannot be used instead of refusing them.")
+@click.option(
+    "--correction",
+    type=opt.FiniteFloat(0, 1),
+    default=0.2,
+    show_default=True,
+    help="Added to the steering of a left camera, taken from that of a right one.",
+)
+@opt.figure_opt
+@opt.existing_options
+@opt.console_options
+def steer(
+    model: Path,
+    data: tuple[Path, ...],
+    require_mae: float | None,
+    require_better_than_constant: bool,
+    skip_bad: bool,
+    correction: float,
+    figure: Path | None,
+    existing: Existing,
+    console: Console,
+) -> None:
+    """Measure MODEL, a .safetensors or an exported .onnx, on the recordings in the folders DATA.
+
+    Errors are of the expected angle, in units of full lock; the negative log-likelihood and the expected calibration
+    error say how well the model knows what it does not know. Beside them stands the error of always steering one
+    angle, the median of these labels: a model that is no better has learnt nothing. Data that were trained on say
+    little about others.
+    """
+    from hrt_cli.evaluation.steering import evaluate_steer
+
+    with console.bar("evaluate") as progress:
+        found = evaluate_steer(
+            model, data, skip_bad=skip_bad, correction=correction, progress=progress, note=console.note
+        )
+    if figure is not None:
+        from hrt_cli.report.steering_figures import draw_steering
+
+        inputs = {"model": model} | {f"labels/{index}": path for index, path in enumerate(found.files)}
+        draw_steering(inputs, figure, found, digest=found.digest, caption=_line(found), existing=existing)
+    console.result(f"{model}: {_line(found)}", _document(found), only_here=True)
+    mae, constant = found.total.mae, found.total.constant_baseline_mae
+    if require_mae is not None and mae > require_mae:
+        raise DifferenceError(f"{model}: the mean absolute error is {mae:.4g}, more than {require_mae:g}")
+    if require_better_than_constant and mae >= constant:
+        raise DifferenceError(
+            f"{model}: the mean absolute error is {mae:.4g}, no less than that of a constant, {constant:.4g}"
+        )
+
+
+def _line(found: SteerMeasure) -> str:
+    total = found.total
+    skipped = f", {found.skipped} skipped" if found.skipped else ""
+    return (
+        f"MAE {total.mae:.3f} (a constant: {total.constant_baseline_mae:.3f}), RMSE {total.rmse:.3f}, "
+        f"accuracy {total.accuracy:.1%}, NLL {total.nll:.2f}, ECE {total.ece:.3f}; "
+        f"{total.frames} frames of {len(found.sessions)} session{'s'[: len(found.sessions) > 1]}{skipped}"
+    )
+
+
+def _document(found: SteerMeasure) -> dict[str, Any]:
+    return {
+        **asdict(found.total),
+        "skipped": found.skipped,
+        "constant": found.constant,
+        "sessions": {name: asdict(each) for name, each in found.sessions.items()},
+        "reliability": {name: each.bins() for name, each in found.reliability.items()},
+        "confusion": {name: each.tolist() for name, each in found.confusion.items()},
+    }

@@ -1,0 +1,114 @@
+"""Batches of frames, cut and augmented a batch ahead of the network.
+
+All that is random in a batch is drawn from the seed, the epoch and the batch's number alone: a training that goes on
+after a stop needs no state of a generator to see the same batches.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Generator
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from hrt_cli.steering.augment import Augment, augment
+from hrt_cli.steering.balance import class_weights, draw_epoch
+from hrt_cli.steering.network import SteeringConfig
+from hrt_cli.steering.pictures import prepare
+
+_ORDER, _AUGMENT, _DROPOUT = 1, 2, 3
+"""Streams of random numbers that must not be one another."""
+
+
+@dataclass(frozen=True)
+class Frames:
+    """Some frames of an array of pictures.
+
+    Attributes
+    ----------
+    pictures : uint8 [m, height, width, 3]
+        All pictures, fitted; perhaps mapped from a file, so it is never copied.
+    rows : int64 [n]
+        Which of them.
+    steering : float32 [n, outputs]
+        In [-1, 1].
+    goal : float32 [n] or None
+        Bearings in radians.
+    """
+
+    pictures: NDArray[np.uint8]
+    rows: NDArray[np.int64]
+    steering: NDArray[np.float32]
+    goal: NDArray[np.float32] | None
+
+    def __len__(self) -> int:
+        return int(self.rows.size)
+
+    def cut(
+        self, which: NDArray[np.int64]
+    ) -> tuple[NDArray[np.uint8], NDArray[np.float32], NDArray[np.float32] | None]:
+        """Return the pictures, steering and goals of some of the frames."""
+        return self.pictures[self.rows[which]], self.steering[which], None if self.goal is None else self.goal[which]
+
+
+@dataclass(frozen=True)
+class Batch:
+    """What the network sees at once: see `pictures.prepare` and `Frames`."""
+
+    pictures: Tensor
+    steering: Tensor
+    goal: Tensor | None
+
+
+def batch_count(frames: int, batch: int) -> int:
+    """Return how many batches an epoch has: each of `batch` frames or a few more, never fewer if there are as many."""
+    return max(1, frames // batch)
+
+
+def ready(
+    pictures: NDArray[np.uint8], steering: NDArray[np.float32], goal: NDArray[np.float32] | None, config: SteeringConfig
+) -> Batch:
+    """Return frames as tensors; `steering` is float32 [n, outputs]."""
+    seen = torch.from_numpy(prepare(pictures, config)).contiguous(memory_format=torch.channels_last)
+    return Batch(seen, torch.from_numpy(steering), None if goal is None else torch.from_numpy(goal))
+
+
+def epoch_batches(
+    frames: Frames,
+    config: SteeringConfig,
+    *,
+    batch: int,
+    balance_strength: float,
+    strengths: Augment,
+    seed: int,
+    epoch: int,
+    first: int = 0,
+) -> Generator[Batch, None, None]:
+    """Yield the batches of an epoch from number `first` on, each made while the one before it is in use.
+
+    Every frame comes once an epoch; with a balance, those of rare yaw more often, and as many in all.
+    """
+    weight = class_weights(frames.steering[:, 0], config.half_classes, balance_strength)
+    order = draw_epoch(weight, np.random.default_rng([seed, _ORDER, epoch]))
+    parts = np.array_split(order, batch_count(len(frames), batch))
+
+    def make(number: int) -> Batch:
+        own = np.random.default_rng([seed, _AUGMENT, epoch, number])
+        return ready(*augment(*frames.cut(parts[number]), strengths, own), config)
+
+    with ThreadPoolExecutor(1) as ahead:
+        waiting = [ahead.submit(make, number) for number in range(len(parts))[first : first + 1]]
+        for number in range(first, len(parts)):
+            made = waiting.pop().result()
+            if number + 1 < len(parts):
+                waiting.append(ahead.submit(make, number + 1))
+            yield made
+
+
+def dropout_seed(seed: int, epoch: int, number: int) -> int:
+    """Return the seed of PyTorch's generator for one batch: a number of 63 bits."""
+    return int(np.random.SeedSequence([seed, _DROPOUT, epoch, number]).generate_state(1, np.uint64)[0] >> np.uint64(1))
