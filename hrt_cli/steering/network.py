@@ -23,6 +23,8 @@ _HIDDEN = 128
 """Units in which what is seen and where to go meet."""
 _BEARINGS = 24
 """Directions all round by which a bearing is told: 15 degrees apart."""
+LOUDNESS = 8.0
+"""Of a bearing: one input beside hundreds of what is seen is heard only if it is loud (a step moves its weight alike)."""
 SHARPNESS = math.log(2.0) / (1.0 - math.cos(math.pi / _BEARINGS))
 
 
@@ -160,16 +162,16 @@ class SteeringNet(nn.Module):
 
 
 def told(goal: Tensor) -> Tensor:
-    """Return bearings as the network is told them, float [n, 24]: one near each of 24 directions, falling off to 0.
+    """Return bearings as the network is told them, float [n, 24]: high near each of 24 directions, falling off to 0.
 
-    exp(k (cos(goal - d) - 1)) for the directions d, with k so that it is 1/2 midway between two of them.
+    8 exp(k (cos(goal - d) - 1)) for the directions d, with k so that it is half as high midway between two of them.
 
     Parameters
     ----------
     goal : float [n]
         Radians.
     """
-    return torch.exp(SHARPNESS * (torch.cos(goal[:, None] - directions().to(goal)) - 1.0))
+    return LOUDNESS * torch.exp(SHARPNESS * (torch.cos(goal[:, None] - directions().to(goal)) - 1.0))
 
 
 def directions() -> Tensor:

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from onnx import TensorProto, helper, numpy_helper
 from torch import nn
 
-from hrt_cli.steering.network import SHARPNESS, SteeringConfig, SteeringNet, directions
+from hrt_cli.steering.network import LOUDNESS, SHARPNESS, SteeringConfig, SteeringNet, directions
 from hrt_cli.steering.resnet import BasicBlock
 
 OPSET, IR_VERSION = 17, 8
@@ -145,7 +145,8 @@ def _merged(graph: _Graph, merge: nn.Module, seen: str) -> str:
     # k (cos - 1), in the order in which the network computes it.
     short = graph.op("Sub", [graph.op("Cos", [away], "goal.cos"), graph.constant("one", np.ones(1))], "goal.short")
     sharp = graph.op("Mul", [short, graph.constant("goal.sharpness", np.full(1, SHARPNESS))], "goal.log")
-    bearing = graph.op("Exp", [sharp], "goal.bearing")
+    loud = graph.constant("goal.loudness", np.full(1, LOUDNESS))
+    bearing = graph.op("Mul", [graph.op("Exp", [sharp], "goal.near"), loud], "goal.bearing")
     both = graph.op("Concat", [seen, bearing], "merge.inputs", axis=1)
     merged = graph.op("Relu", [graph.linear("merge.linear", both, merge.get_submodule("0"))], "merged")
     return graph.op("Concat", [merged, bearing], "head.inputs", axis=1)
