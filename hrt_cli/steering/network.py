@@ -24,7 +24,7 @@ _HIDDEN = 128
 _BEARINGS = 24
 """Directions all round by which a bearing is told: 15 degrees apart."""
 LOUDNESS = 8.0
-"""Of a bearing: one input beside hundreds of what is seen is heard only if it is loud (a step moves its weight alike)."""
+"""Of a bearing: one input beside hundreds of what is seen is heard only if it is loud."""
 SHARPNESS = math.log(2.0) / (1.0 - math.cos(math.pi / _BEARINGS))
 
 
