@@ -31,11 +31,11 @@ Example:
 @opt.output_opt
 @click.option(
     "--local",
-    type=click.Choice(["pursuit", "expert", "steer"]),
+    type=click.Choice(["pursuit", "expert", "teacher", "steer"]),
     default="pursuit",
     show_default=True,
     help="Who steers between waypoints: pursuit follows the path and sees nothing, the expert sees the site as it is, "
-    "steer has a camera and a --model.",
+    "the teacher does, too, and makes for the point ahead that a learner is told, steer has a camera and a --model.",
 )
 @click.option("--model", type=opt.PATH, help="Steering model of --local steer (hrt train-steer).")
 @click.option(

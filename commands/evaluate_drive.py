@@ -87,6 +87,8 @@ def _line(total: DriveMeasure) -> str:
         parts.append(f"stalled {total.stalled_s:.0f} s")
     if total.min_clearance_m is not None:
         parts.append(f"clearance {total.min_clearance_m:.2f} m at least, {total.mean_clearance_m:.2f} m on average")
+    if total.on_drivable is not None:
+        parts.append(f"{total.on_drivable:.1%} on drivable ground")
     if total.target_in_view is not None:
         parts.append(f"target on {total.target_in_view:.1%} of the picture")
     if total.score_collected is not None:

@@ -23,8 +23,8 @@ learn_drives := $(call count,$(steer_drives))
 steer_out := $(out)/steer
 world_files := $(wildcard $(addprefix $(world)/,ortho.tif ortho.vrt dsm.tif truth.tif classes.tif world.json))
 roam_args = --world $(world) --roam $(steer_metres)
-# The expert is pushed off its way now and then, so that it shows how to get back.
-push_args = --local expert --disturb $(steer_disturb)
+# It is pushed off its way now and then, so that it shows how to get back.
+push_args = --local teacher --disturb $(steer_disturb)
 train_args = --size $(steer_size) --columns $(steer_columns) --batch $(steer_batch) --patience 0 --threads $(workers)
 
 ifeq ($(filter clean%,$(MAKECMDGOALS)),)
@@ -57,3 +57,27 @@ endef
 recordings :=
 learnt :=
 $(foreach r,$(learn_rounds),$(eval $(call learning_round,$r)))
+
+# What it learnt, on courses that it has not seen, here or on another site.
+test_logs := $(foreach d,$(call count,$(steer_test_drives)),$(steer_out)/test/drive-$d.jsonl)
+test_world := $(if $(steer_test_world),$(steer_test_world),$(world))
+test_files := $(wildcard $(addprefix $(test_world)/,ortho.tif ortho.vrt dsm.tif truth.tif classes.tif world.json))
+
+ifeq ($(filter clean%,$(MAKECMDGOALS)),)
+$(call stamp,steer-test,$(test_world) $(steer_metres) $(seed))
+endif
+
+$(steer_out)/test/drive-%.jsonl: $(learnt) $(test_files) $(stamps)/steer-test
+	@mkdir -p $(@D)
+	$(HRT) drive --world $(test_world) --roam $(steer_metres) -o $@ --local steer --model $(learnt) \
+	  --seed $$(( $(seed) * 100000 + 99000 + $* )) --overwrite
+	@touch $@
+
+$(steer_out)/test/report.json: $(test_logs) $(test_files)
+	$(HRT) evaluate drive $(test_logs) --world $(test_world) --json -q > $@
+
+steering: $(steer_out)/test/report.json
+
+clean-steering:
+	rm -rf $(steer_out)
+	rm -f $(stamps)/steer-*

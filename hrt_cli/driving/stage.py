@@ -30,7 +30,7 @@ from hrt_cli.world.site import Site, load_site, site_files
 STAGE = "drive"
 STAGE_VERSION = 4
 
-LOCAL_PLANNERS = ("pursuit", "expert", "steer")
+LOCAL_PLANNERS = ("pursuit", "expert", "teacher", "steer")
 
 
 @dataclass(frozen=True)
@@ -39,7 +39,7 @@ class DriveRequest:
 
     Attributes
     ----------
-    local : 'pursuit', 'expert' or 'steer'
+    local : 'pursuit', 'expert', 'teacher' or 'steer'
     model : Path or None
         The steering model of 'steer'.
     vehicle : 'ugv', 'auv' or None
@@ -243,6 +243,8 @@ def local_planner(name: str, setting: Setting, model: Path | None = None) -> Loc
         return _steer(model, setting)
     if name == "pursuit":
         return Pursuit(setting.course, setting.vehicle)
+    if name == "teacher":
+        return teacher_of(setting)
     expert = GroundExpert if setting.vehicle.kind == "ugv" else WaterExpert
     return expert(setting.site, setting.course, setting.vehicle)
 

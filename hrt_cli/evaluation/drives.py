@@ -31,6 +31,8 @@ LOOK_EVERY_S = 1.0
 """Between two frames in which the target is looked for."""
 STALLED = 0.1
 """A robot that gets on at less than this share of the commanded speed stalls."""
+DRIVABLE = 0.3
+"""Share of its speed that a robot holds on ground that counts as drivable."""
 _COMMANDED_M_S = 0.05
 _FARTHEST_M = 5.0
 """Clearances are measured up to here."""
@@ -50,6 +52,8 @@ class DriveMeasure:
     min_clearance_m, mean_clearance_m : float or None
         Distance from the robot's hull to the nearest obstacle (of an AUV, to the bottom), at most 5 m; the mean is
         over time.
+    on_drivable : float or None
+        Share of a ground robot's way that led over ground on which it holds at least `DRIVABLE` of its speed.
     target_in_view : float or None
         Share of the picture that the target class covers, mean over frames a second apart.
     score_collected : float or None
@@ -64,6 +68,7 @@ class DriveMeasure:
     stalled_s: float | None
     min_clearance_m: float | None
     mean_clearance_m: float | None
+    on_drivable: float | None
     target_in_view: float | None
     score_collected: float | None
 
@@ -167,7 +172,7 @@ def _measure(path: Path, site: Site | None, target: int | None, score: float | N
     gone_m = _gone(path, log)
     step_s = np.where(_driven(log), np.diff(log.time_s), 0.0)
     weight_s = np.append(step_s, 0.0) / 2 + np.append(0.0, step_s) / 2
-    clearance, view = np.zeros(0), []
+    clearance, on_drivable, view = np.zeros(0), None, []
     if site is not None:
         kind = log.robot.kind if log.robot is not None else "auv" if site.under_water else "ugv"
         vehicle = VEHICLES[kind]
@@ -175,6 +180,7 @@ def _measure(path: Path, site: Site | None, target: int | None, score: float | N
         clearance = _clearances(site, poses, log, vehicle)
         known = ~np.isnan(clearance)
         clearance, weight_s = clearance[known], weight_s[known]
+        on_drivable = _on_drivable(site, poses, gone_m) if vehicle.kind == "ugv" else None
         if target is not None:
             view = _views(site, poses, log, vehicle, target, gone_m)
     events = [event for _, event in log.events]
@@ -187,6 +193,7 @@ def _measure(path: Path, site: Site | None, target: int | None, score: float | N
         stalled_s=_stalled(log),
         min_clearance_m=_least(clearance),
         mean_clearance_m=_mean(clearance, weight_s),
+        on_drivable=on_drivable,
         target_in_view=float(np.mean([share for _, share in view])) if view else None,
         score_collected=score,
     )
@@ -261,6 +268,15 @@ def _clearances(site: Site, poses: _Poses, log: DriveLog, vehicle: Vehicle) -> N
     return np.clip(room - radius, 0.0, _FARTHEST_M)
 
 
+def _on_drivable(site: Site, poses: _Poses, gone_m: NDArray[np.float64]) -> float | None:
+    cols, rows = np.floor(poses.place / site.pixel_m).astype(np.int64).T
+    inside = (rows >= 0) & (rows < site.grid.rows) & (cols >= 0) & (cols < site.grid.cols)
+    good = np.zeros(len(rows), np.float64)
+    good[inside] = site.speed_factor[rows[inside], cols[inside]] >= DRIVABLE
+    way_m = np.diff(gone_m)
+    return float((0.5 * (good[1:] + good[:-1]) * way_m).sum() / way_m.sum()) if way_m.sum() > 0 else None
+
+
 def _views(
     site: Site, poses: _Poses, log: DriveLog, vehicle: Vehicle, target: int, gone_m: NDArray[np.float64]
 ) -> list[tuple[float, float]]:
@@ -300,10 +316,18 @@ def _together(found: dict[str, _Measured], score: float | None) -> DriveEvaluati
         stalled_s=None if None in stalls else math.fsum(each for each in stalls if each is not None),
         min_clearance_m=_least(clearance),
         mean_clearance_m=_mean(clearance, weight),
+        on_drivable=_drivable_together(measures),
         target_in_view=float(np.mean([share for _, share in view])) if view else None,
         score_collected=score,
     )
     return DriveEvaluation(total, {name: each.measure for name, each in found.items()}, clearance, weight, view)
+
+
+def _drivable_together(measures: list[DriveMeasure]) -> float | None:
+    """Return the share of all the way that is known, weighed by the metres of each drive."""
+    known = [(each.on_drivable, each.distance_m) for each in measures if each.on_drivable is not None]
+    way_m = math.fsum(metres for _, metres in known)
+    return math.fsum(share * metres for share, metres in known) / way_m if way_m > 0 else None
 
 
 def _least(clearance: NDArray[np.float64]) -> float | None:

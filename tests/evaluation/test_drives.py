@@ -305,7 +305,7 @@ def test_the_command(tmp_path: Path, walled: Path, scoremap: Path) -> None:
     said = json.loads(done.stdout)
     assert set(said) >= {
         "distance_m", "duration_s", "collisions", "interventions", "min_clearance_m", "mean_clearance_m",
-        "target_in_view", "score_collected", "target_curve", "drives",
+        "on_drivable", "target_in_view", "score_collected", "target_curve", "drives",
     }  # fmt: skip
     assert said["target_curve"][-1][0] == pytest.approx(8.0)
     assert said["drives"][str(log)]["collisions"] == 0
@@ -333,3 +333,18 @@ def test_a_figure_needs_a_world(tmp_path: Path) -> None:
     done = hrt("evaluate", "drive", log, "--figure", tmp_path / "f.png")
     assert "nothing to draw without a --world" in str(done.exception)
     assert not (tmp_path / "f.png").exists()
+
+
+def test_how_much_of_the_way_led_over_drivable_ground(tmp_path: Path) -> None:
+    """Mud from 7 m on, of which 4 of the 10 m are on; a drive beside it weighs by its own metres."""
+    classes = np.zeros((ROWS, COLS), np.uint8)
+    classes[:60, 70:] = 1
+    table = {"0": {"name": "grass", "drivability": 0.9}, "1": {"name": "mud", "drivability": 0.1}}
+    world = put_world(tmp_path / "mud", np.zeros((ROWS, COLS)), classes=classes, table=table)
+    into = put(tmp_path / "into.jsonl", eastward(10.0), robot=UGV)
+    beside = put(tmp_path / "beside.jsonl", eastward(10.0, south_m=7.0, speed=0.5), robot=UGV)
+    found = evaluate_drives([into, beside], world=world)
+    assert found.drives[str(into)].on_drivable == pytest.approx(0.6, abs=0.03)
+    assert found.drives[str(beside)].on_drivable == 1.0
+    assert found.total.on_drivable == pytest.approx((6.0 + 5.0) / 15.0, abs=0.02)
+    assert evaluate_drives([into]).total.on_drivable is None
