@@ -8,7 +8,7 @@
 .DEFAULT_GOAL := steering
 include Makefile
 
-.PHONY: steering clean-steering
+.PHONY: steering learning clean-steering
 steering:
 
 ifeq ($(filter clean%,$(MAKECMDGOALS)),)
@@ -57,6 +57,8 @@ endef
 recordings :=
 learnt :=
 $(foreach r,$(learn_rounds),$(eval $(call learning_round,$r)))
+
+learning: $(learnt)
 
 # What it learnt, on courses that it has not seen, here or on another site.
 test_logs := $(foreach d,$(call count,$(steer_test_drives)),$(steer_out)/test/drive-$d.jsonl)
