@@ -5,7 +5,7 @@
 SITE is a folder with ortho.tif and dsm.tif. The learning is `make -f steer.mk`, KEY=VALUE as for make, in DIR/dagger;
 behavioural cloning is the same with one round, in which the expert drives, undisturbed, as many drives as all rounds
 have, and as many frames are shown to the network (DIR/cloning). What was made stays in DIR and is not made again.
-Both then drive courses that nobody trained on: straight legs between random places, as in driving.py.
+Both then drive courses that nobody trained on: other random legs, which lead over what stands between their ends.
 """
 
 from __future__ import annotations
@@ -21,9 +21,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from driving import course_on, distance_m
+from driving import distance_m
 
 from hrt_cli.driving.local import Command, LocalPlanner, Pose
+from hrt_cli.driving.roam import roam_course
 from hrt_cli.driving.simulator import Setting, first_heading, simulate
 from hrt_cli.driving.stage import local_planner
 from hrt_cli.driving.vehicle import AUV, UGV
@@ -67,12 +68,12 @@ def learn(folder: Path, site: Path, settings: dict[str, str]) -> float:
     return after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
 
 
-def drive(site: Site, who: str, model: Path | None, courses: int, longest_s: float) -> Tally:
+def drive(site: Site, who: str, model: Path | None, courses: int, metres: float) -> Tally:
     tally = Tally()
     vehicle = AUV if site.under_water else UGV
     for seed in range(FIRST_SEED, FIRST_SEED + courses):
-        course = course_on(site, seed)
-        setting = Setting(site, vehicle, course, vehicle.cruise_m_s, longest_s, first_heading(course), seed)
+        course = roam_course(site, vehicle, metres, seed)
+        setting = Setting(site, vehicle, course, vehicle.cruise_m_s, math.inf, first_heading(course), seed)
         local: LocalPlanner = local_planner(who, setting, model)
 
         def watch(time_s: float, known: Pose, true: Pose, command: Command) -> None:
@@ -109,8 +110,8 @@ def main() -> None:
     parser.add_argument("settings", nargs="*", help="KEY=VALUE, as for make")
     parser.add_argument("--elsewhere", type=Path, nargs="*", default=[])
     parser.add_argument("--out", type=Path)
-    parser.add_argument("--courses", type=int, default=3)
-    parser.add_argument("--minutes", type=float, default=10.0, help="of each drive, simulated")
+    parser.add_argument("--courses", type=int, default=4)
+    parser.add_argument("--metres", type=float, default=300.0, help="of each course")
     parser.add_argument("--no-cloning", action="store_true")
     options = parser.parse_args()
     settings = dict(each.split("=", 1) for each in options.settings)
@@ -128,7 +129,7 @@ def main() -> None:
         site = load_site(folder)
         print(f"\n{folder.name}{'':<20}{'driven':>10}{'collisions':>12}{'off the survey':>16}{'drivable':>11}")
         for name, planner, model in who:
-            found = drive(site, planner, model, options.courses, 60.0 * options.minutes)
+            found = drive(site, planner, model, options.courses, options.metres)
             print(f"  {name:<20}{found.row()}", flush=True)
 
 

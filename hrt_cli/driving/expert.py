@@ -21,11 +21,10 @@ _DEAR, _LONGEST_SKIP_M = 8.0, 8.0
 """Ground that costs more a metre (slower than an eighth, or along an obstacle) is gone round, if it is no wider."""
 _LONGEST_DETOUR_S = 150.0
 """Cost, in seconds at 1 m/s, beyond which it leaves a place out and goes for a later one."""
-_MUCH_DEARER = 2.0
+MUCH_DEARER = 2.0
+"""It does not go straight over ground so many times dearer than where it is and where it goes."""
 _ESCAPE_M = 1.0
 """How far off the nearest cell may be that it may be in, when it is in none."""
-_REACH_CELLS = (5, 4, 3, 2, 1)
-"""How far down its way it aims: the farthest of these that it can go straight to."""
 
 _AHEAD_M = (0.3, 0.6, 1.0, 1.5, 2.0, 2.6, 3.2, 4.0)
 """How far ahead over the bottom an AUV looks."""
@@ -48,6 +47,8 @@ class GroundExpert:
     """
 
     name = "expert"
+    reach_cells: tuple[int, ...] = (5, 4, 3, 2, 1)
+    """How far down its way it aims: the farthest of these that it can go straight to."""
 
     def __init__(self, site: Site, course: Course, vehicle: Vehicle) -> None:
         self._course = course
@@ -134,11 +135,11 @@ class GroundExpert:
         cell_m = self._map.cell_m
         if math.hypot(self._target[0] - pose.east_m, self._target[1] - pose.south_m) < 2.0 * cell_m:
             return self._target
-        for cells in _REACH_CELLS:
+        for cells in self.reach_cells:
             row, col = follow(self._to_go, self._map.cost, here[0], here[1], cells)
             east, south = self._map.middle((row, col))
             # Straight on, but not across worse ground than the way leads over.
-            dearest = _MUCH_DEARER * max(self._map.cost[here], self._map.cost[row, col])
+            dearest = MUCH_DEARER * max(self._map.cost[here], self._map.cost[row, col])
             if cells == 1 or is_clear(self._map.cost, cell_m, pose.east_m, pose.south_m, east, south, dearest):
                 return east, south
         return self._target

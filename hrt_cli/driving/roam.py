@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy import ndimage
 
 from hrt_cli.driving.course import Course
@@ -20,12 +21,14 @@ _SLOWEST = 0.3
 _DEPTH_M = 2.0
 """An AUV is sent where the water is deeper."""
 _LONGEST_LEG_M = 30.0
+_DRAWN = 256
+"""Places from which the end of a leg is chosen."""
 
 
 def roam_course(site: Site, vehicle: Vehicle, length_m: float, seed: int) -> Course:
     """Return a course of straight legs, at most 30 m each, between random places that can be reached from one another.
 
-    The legs lead over what lies between them: it is for the local planner to go round it.
+    The legs lead over what stands between them, which is for the local planner to go round, but not off the survey.
 
     Raises
     ------
@@ -33,7 +36,8 @@ def roam_course(site: Site, vehicle: Vehicle, length_m: float, seed: int) -> Cou
         The site has no room for it.
     """
     room = vehicle.radius_m + _ROOM_M
-    free = rim_distance(site) > room
+    inside = rim_distance(site) > room
+    free = inside.copy()
     if vehicle.kind == "auv":
         free &= site.surface_m < -_DEPTH_M
     else:
@@ -50,7 +54,15 @@ def roam_course(site: Site, vehicle: Vehicle, length_m: float, seed: int) -> Cou
         leg_m = rng.uniform(0.2, 1.0) * min(_LONGEST_LEG_M, length_m)
         turn = rng.uniform(0.0, 2.0 * math.pi)
         wanted = points[-1] + leg_m * np.array([math.sin(turn), math.cos(turn)])
-        near = places[rng.integers(len(places), size=256)]
-        points.append(near[int(np.hypot(*(near - wanted).T).argmin())])
+        near = places[rng.integers(len(places), size=_DRAWN)]
+        near = near[np.hypot(*(near - wanted).T).argsort(kind="stable")]
+        points.append(next((each for each in near if _is_surveyed(inside, site, points[-1], each)), near[0]))
         length += float(np.hypot(*(points[-1] - points[-2])))
     return Course(np.array(points))
+
+
+def _is_surveyed(inside: NDArray[np.bool_], site: Site, start: NDArray[np.float64], end: NDArray[np.float64]) -> bool:
+    """Whether a straight leg leads over surveyed ground alone."""
+    steps = math.ceil(float(np.hypot(*(end - start))) / site.pixel_m) + 1
+    cols, rows = np.floor(np.linspace(start, end, steps) / site.pixel_m).astype(np.int64).T
+    return bool(inside[rows, cols].all())

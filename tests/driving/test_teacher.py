@@ -35,7 +35,21 @@ def test_on_open_ground_it_steers_to_the_goal(heading_deg: float) -> None:
     command = teacher.decide(pose, pose)
     assert command is not None
     assert teacher.bearing_rad == pytest.approx(math.radians(90.0 - heading_deg), abs=0.02)
-    assert command.yaw == pytest.approx(teacher.bearing_rad / (math.pi / 4), abs=0.15)
+    assert command.yaw == pytest.approx(teacher.bearing_rad / (math.pi / 4), abs=0.03)
+
+
+def test_on_open_ground_it_goes_straight_whatever_the_compass() -> None:
+    """A grid of cells has eight directions; what it teaches must not."""
+    site = open_ground(300)
+    for bearing_deg in range(0, 360, 7):
+        turn = math.radians(bearing_deg)
+        east, south = math.sin(turn), -math.cos(turn)
+        start, end = (15.0 - 9 * east, 15.0 - 9 * south), (15.0 + 9 * east, 15.0 + 9 * south)
+        teacher = teacher_of(setting(site, start, end))
+        pose = Pose(15.0 - 5 * east, 15.0 - 5 * south, 0.0, turn, 0.0)
+        command = teacher.decide(pose, pose)
+        assert command is not None
+        assert command.yaw == pytest.approx(0.0, abs=0.03), bearing_deg
 
 
 @pytest.mark.parametrize("side", [-1, 1])
