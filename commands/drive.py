@@ -15,11 +15,12 @@ from hrt_cli.progress import Console
 @click.command(
     epilog="""\b
 Example:
-  hrt synth site --scene meadow --size 40
+  hrt synth site --scene meadow --size 30
   hrt segment site/ortho.tif -o site/classes.tif --classes 6
   hrt scoremap site/classes.tif -o site/scoremap.tif
-  hrt plan site/scoremap.tif -o site/plan.json --start auto --budget 5min
+  hrt plan site/scoremap.tif -o site/plan.json --start auto --budget 2min
   hrt drive site/plan.json --world site -o site/drive.jsonl --local expert
+  hrt drive --world site --roam 30 --local expert --disturb 0.3 --record site/frames -o site/roam.jsonl
 """
 )
 @click.argument("plan", type=opt.PATH, required=False)

@@ -20,13 +20,10 @@ if TYPE_CHECKING:
 @click.command(
     epilog="""\b
 Example:
-  hrt synth site --scene meadow --size 40
-  hrt segment site/ortho.tif -o site/classes.tif --classes 6
-  hrt scoremap site/classes.tif -o site/scoremap.tif
-  hrt plan site/scoremap.tif -o site/plan.json --start auto --budget 1min
-  hrt drive site/plan.json --world site -o site/drive.jsonl --local expert --record site/seen
-  hrt train-steer site/seen -o site/steer.safetensors --size 64x48 --epochs 1
-  hrt evaluate steer site/steer.safetensors site/seen --figure site/steer.png
+  hrt synth site --scene meadow --size 30
+  hrt drive --world site --roam 30 --local expert --disturb 0.3 --record site/frames -o site/drive.jsonl
+  hrt train-steer site/frames -o site/steer.safetensors --size 64x48 --epochs 1
+  hrt evaluate steer site/steer.safetensors site/frames --figure site/steer.png
 """
 )
 @click.argument("model", type=opt.PATH)

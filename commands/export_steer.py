@@ -20,13 +20,10 @@ if TYPE_CHECKING:
     "export-steer",
     epilog="""\b
 Example:
-  hrt synth site --scene meadow --size 40
-  hrt segment site/ortho.tif -o site/classes.tif --classes 6
-  hrt scoremap site/classes.tif -o site/scoremap.tif
-  hrt plan site/scoremap.tif -o site/plan.json --start auto --budget 1min
-  hrt drive site/plan.json --world site -o site/drive.jsonl --local expert --record site/seen
-  hrt train-steer site/seen -o site/steer.safetensors --size 64x48 --epochs 1
-  hrt export-steer site/steer.safetensors -o site/steer.onnx --int8 --calibrate site/seen
+  hrt synth site --scene meadow --size 30
+  hrt drive --world site --roam 30 --local expert --disturb 0.3 --record site/frames -o site/drive.jsonl
+  hrt train-steer site/frames -o site/steer.safetensors --size 64x48 --epochs 1
+  hrt export-steer site/steer.safetensors -o site/steer.onnx --int8 --calibrate site/frames
 """,
 )
 @click.argument("model", type=opt.PATH)

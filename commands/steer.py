@@ -14,11 +14,8 @@ from hrt_cli.progress import Console
 @click.command(
     epilog="""\b
 Example:
-  hrt synth site --scene meadow --size 40
-  hrt segment site/ortho.tif -o site/classes.tif --classes 6
-  hrt scoremap site/classes.tif -o site/scoremap.tif
-  hrt plan site/scoremap.tif -o site/plan.json --start auto --budget 3min
-  hrt drive site/plan.json --world site -o site/drive.jsonl --local expert --record site/frames
+  hrt synth site --scene meadow --size 30
+  hrt drive --world site --roam 30 --local expert --disturb 0.3 --record site/frames -o site/drive.jsonl
   hrt train-steer site/frames -o site/steer.safetensors --size 64x48 --epochs 1
   hrt steer site/steer.safetensors site/frames -o site/steering.json --overlay site/seen --saliency
 """

@@ -19,12 +19,9 @@ if TYPE_CHECKING:
     "train-steer",
     epilog="""\b
 Example:
-  hrt synth site --scene meadow --size 40
-  hrt segment site/ortho.tif -o site/classes.tif --classes 6
-  hrt scoremap site/classes.tif -o site/scoremap.tif
-  hrt plan site/scoremap.tif -o site/plan.json --start auto --budget 3min
-  hrt drive site/plan.json --world site -o site/drive.jsonl --local expert --record site/frames
-  hrt train-steer site/frames -o site/steer.safetensors --size 64x48 --epochs 3 --curve site/steer.png
+  hrt synth site --scene meadow --size 30
+  hrt drive --world site --roam 30 --local expert --disturb 0.3 --record site/frames -o site/drive.jsonl
+  hrt train-steer site/frames -o site/steer.safetensors --size 64x48 --epochs 1 --curve site/steer.png
 """,
 )
 @click.argument("data", nargs=-1, required=True, type=opt.PATH)

@@ -67,7 +67,7 @@ def verify_file(path: Path, folders: tuple[Path, ...] = ()) -> Verification:
     Parameters
     ----------
     path : Path
-        A GeoTIFF, NPZ, JSON, PNG or drive log.
+        A GeoTIFF, NPZ, JSON, PNG, drive log, or a steering model, exported or not.
     folders : tuple of Path
         Where to look for its inputs besides its own folder.
 

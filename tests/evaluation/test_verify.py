@@ -6,8 +6,10 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+import torch
 from affine import Affine
 from rasterio.crs import CRS
+from safetensors.torch import save_file
 
 from hrt_cli.artifacts.carriers import publish_json, publish_npz
 from hrt_cli.artifacts.png import publish_png
@@ -17,8 +19,14 @@ from hrt_cli.evaluation.verify import verify_file
 from hrt_cli.raster.cog import Layout, publishing_cog
 from hrt_cli.raster.grid import Grid
 from hrt_cli.raster.windows import Window
+from hrt_cli.steering.model import publish_tensors
 
 GRID = Grid(40, 50, Affine(0.1, 0, 500_000, 0, -0.1, 5_400_000), CRS.from_epsg(32633))
+
+
+def publish_steering(target: Path, provenance: Provenance) -> None:
+    tensors = {"heads.yaw.weight": torch.arange(40.0), "heads.yaw.bias": torch.zeros(3)}
+    publish_tensors(target, tensors, {"format": "hrt-steering", "version": 1}, provenance)
 
 
 def publish_tif(target: Path, provenance: Provenance) -> None:
@@ -35,6 +43,7 @@ PUBLISHERS: dict[str, Callable[[Path, Provenance], None]] = {
         target, bytes(cv2.imencode(".png", np.eye(20, dtype=np.uint8))[1]), provenance
     ),
     "out.tif": publish_tif,
+    "out.safetensors": publish_steering,
 }
 
 
@@ -94,13 +103,45 @@ def test_a_cut_artifact_is_damaged(artifact: Path, share: float) -> None:
 
 def test_an_artifact_with_a_flipped_bit_in_its_content_is_damaged(artifact: Path) -> None:
     content = bytearray(artifact.read_bytes())
-    marks = {".json": b"1.5", ".geojson": b"features", ".npz": b"weights", ".png": b"IDAT", ".tif": b""}
-    mark = marks[artifact.suffix]
-    # The pixels of a small Cloud Optimised GeoTIFF are the last thing in it.
-    position = content.index(mark) + len(mark) - 1 if mark else len(content) - 200
+    marks = {".json": b"1.5", ".geojson": b"features", ".npz": b"weights", ".png": b"IDAT"}
+    if artifact.suffix in marks:
+        mark = marks[artifact.suffix]
+        position = content.index(mark) + len(mark) - 1
+    else:
+        # The pixels of a small Cloud Optimised GeoTIFF are nearly the last thing in it, and tensors the very last.
+        position = len(content) - (200 if artifact.suffix == ".tif" else 20)
     content[position] ^= 1
     artifact.write_bytes(content)
     assert verify_file(artifact).verdict == "damaged"
+
+
+@pytest.mark.parametrize("what", ["a setting", "a tensor's name"])
+def test_a_steering_model_whose_header_was_changed_is_damaged(tmp_path: Path, what: str) -> None:
+    target = tmp_path / "m.safetensors"
+    publish_steering(target, record("train-steer", 1, {"epochs": 60}, {}))
+    assert verify_file(target).verdict == "ok"
+    old, new = (b"hrt-steering", b"hrt-steerinG") if what == "a setting" else (b"yaw.bias", b"yaw.bIas")
+    content = target.read_bytes()
+    assert content.count(old) == 1
+    target.write_bytes(content.replace(old, new))
+    found = verify_file(target)
+    assert found.verdict == "damaged"
+    assert found.detail.startswith("its content is not what its provenance recorded")
+
+
+def test_weights_of_another_tool_are_no_artifact_of_hrt(tmp_path: Path) -> None:
+    save_file({"weight": torch.zeros(3)}, tmp_path / "other.safetensors")
+    found = verify_file(tmp_path / "other.safetensors")
+    assert found.verdict == "damaged"
+    assert "was not written by hrt" in found.detail
+    torch.save({"weight": torch.zeros(3)}, tmp_path / "pickle.safetensors")
+    found = verify_file(tmp_path / "pickle.safetensors")
+    assert (found.verdict, found.detail) == ("damaged", "is no safetensors file, or a damaged one")
+
+
+def test_a_model_without_provenance_is_unsigned(tmp_path: Path) -> None:
+    save_file({"weight": torch.zeros(3)}, tmp_path / "m.safetensors", metadata={"hrt": '{"format": "hrt-steering"}'})
+    assert verify_file(tmp_path / "m.safetensors").verdict == "unsigned"
 
 
 @pytest.mark.parametrize(("name", "content"), [("a.json", b"{}"), ("a.geojson", b'{"type": "Feature"}')])

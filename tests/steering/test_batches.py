@@ -26,15 +26,15 @@ def numbered(n: int = 11, goal: bool = False) -> Frames:
     return Frames(pictures, rows, told[:, None], -told if goal else None)
 
 
-def shown(frames: Frames, *, augment: Augment | None = None, first: int = 0, epoch: int = 0, seed: int = 0,
-          batch: int = 4, strength: float = 0.0) -> list[Batch]:  # fmt: skip
+def shown(frames: Frames, *, strengths: Augment | None = None, first: int = 0, epoch: int = 0, seed: int = 0,
+          batch: int = 4, balance: float = 0.0) -> list[Batch]:  # fmt: skip
     return list(
         epoch_batches(
             frames,
             CONFIG,
             batch=batch,
-            balance_strength=strength,
-            augment=augment or Augment.none(),
+            balance_strength=balance,
+            strengths=strengths or Augment.none(),
             seed=seed,
             epoch=epoch,
             first=first,
@@ -68,7 +68,7 @@ def test_epochs_and_seeds_have_orders_of_their_own() -> None:
 @pytest.mark.parametrize("first", [0, 1, 2, 3])
 def test_the_rest_of_an_epoch_is_the_rest_of_the_whole(first: int) -> None:
     frames = numbered(13)
-    whole, rest = shown(frames, augment=Augment()), shown(frames, augment=Augment(), first=first)
+    whole, rest = shown(frames, strengths=Augment()), shown(frames, strengths=Augment(), first=first)
     assert len(whole) == 3
     assert len(rest) == len(whole) - first
     for a, b in zip(whole[first:], rest, strict=True):
@@ -78,9 +78,9 @@ def test_the_rest_of_an_epoch_is_the_rest_of_the_whole(first: int) -> None:
 
 def test_batches_of_an_epoch_are_varied_differently() -> None:
     grey = Frames(np.full((8, 32, 32, 3), 90, np.uint8), np.arange(8), np.zeros((8, 1), np.float32), None)
-    first, second = shown(grey, augment=Augment())
+    first, second = shown(grey, strengths=Augment())
     assert not torch.equal(first.pictures, second.pictures)
-    (again, _) = shown(grey, augment=Augment(), epoch=1)
+    (again, _) = shown(grey, strengths=Augment(), epoch=1)
     assert not torch.equal(first.pictures, again.pictures)
 
 
@@ -95,7 +95,7 @@ def test_a_balance_shows_the_rare_more_often() -> None:
     steering = np.zeros((400, 1), np.float32)
     steering[:8] = 1.0
     frames = Frames(np.zeros((400, 32, 32, 3), np.uint8), np.arange(400), steering, None)
-    plain, even = shown(frames, batch=400), shown(frames, batch=400, strength=1.0)
+    plain, even = shown(frames, batch=400), shown(frames, batch=400, balance=1.0)
     assert float(plain[0].steering.sum()) == 8
     assert float(even[0].steering.sum()) > 40
     assert len(even[0].steering) == 400
@@ -108,9 +108,9 @@ def test_the_next_batch_is_made_while_one_is_in_use(monkeypatch: pytest.MonkeyPa
         made.append(threading.get_ident())
         return args[:3]
 
-    monkeypatch.setattr(batches, "augmented", count)
+    monkeypatch.setattr(batches, "augment", count)
     running = epoch_batches(
-        numbered(12), CONFIG, batch=4, balance_strength=0.0, augment=Augment.none(), seed=0, epoch=0
+        numbered(12), CONFIG, batch=4, balance_strength=0.0, strengths=Augment.none(), seed=0, epoch=0
     )
     next(running)
     deadline = time.monotonic() + 20
@@ -125,7 +125,7 @@ def test_what_goes_wrong_in_the_making_is_told(monkeypatch: pytest.MonkeyPatch) 
     def fail(*args: object) -> object:
         raise MemoryError
 
-    monkeypatch.setattr(batches, "augmented", fail)
+    monkeypatch.setattr(batches, "augment", fail)
     with pytest.raises(MemoryError):
         shown(numbered())
 

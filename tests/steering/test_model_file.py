@@ -18,9 +18,11 @@ from hrt_cli.errors import InputError
 from hrt_cli.steering.model import model_provenance, publish_model, publish_tensors, read_model, read_tensors
 from hrt_cli.steering.network import SteeringNet
 
+pytestmark = pytest.mark.usefixtures("tiny_throughout")
+
 
 @pytest.fixture(scope="module")
-def net() -> SteeringNet:
+def net(tiny_throughout: None) -> SteeringNet:
     return small_net(outputs=("yaw", "pitch"), goal=True, spatial_dropout=True, temperature={"yaw": 1.5})
 
 

@@ -5,12 +5,15 @@ from __future__ import annotations
 import math
 from typing import Any
 
+import numpy as np
 import pytest
 import torch
+from hypothesis import given
+from hypothesis import strategies as st
 from predict_files import FixedTrunk, small_net
 from pydantic import ValidationError
 
-from hrt_cli.steering.network import SteeringConfig, SteeringNet
+from hrt_cli.steering.network import SteeringConfig, SteeringNet, directions, told
 
 
 @pytest.fixture(scope="module")
@@ -55,6 +58,49 @@ def test_a_goal_must_be_given_and_counts_by_its_direction(full: SteeringNet) -> 
         ahead, around, right = (full(x, torch.tensor([angle]))["yaw"] for angle in (0.0, 2 * math.pi, 0.8))
     torch.testing.assert_close(ahead, around, atol=1e-4, rtol=1e-4)
     assert not torch.allclose(ahead, right, atol=1e-4)
+
+
+STEP = math.pi / 12
+"""Between two of the 24 directions by which a bearing is told."""
+
+
+def tell(*bearings_rad: float) -> np.ndarray:
+    return told(torch.tensor(bearings_rad, dtype=torch.float64)).numpy()
+
+
+def test_a_bearing_is_told_by_the_directions_near_it() -> None:
+    np.testing.assert_allclose(directions().numpy(), np.arange(24) * math.radians(15.0), rtol=1e-6)
+    at, midway, behind = tell(3 * STEP, 3.5 * STEP, -math.pi)
+    assert at.shape == (24,)
+    assert at[3] == pytest.approx(1.0)
+    assert at.argmax() == 3
+    assert midway[[3, 4]] == pytest.approx(0.5)
+    assert (np.delete(midway, [3, 4]) < 0.02).all()
+    assert behind[12] == pytest.approx(1.0)
+    # Where it is asked, it is 2 to the power of (cos x - 1) / (1 - cos 7.5 degrees).
+    power = (math.cos(math.radians(30.0)) - 1.0) / (1.0 - math.cos(math.radians(7.5)))
+    assert at[5] == pytest.approx(2.0**power, rel=1e-4)
+    assert told(torch.zeros(2)).dtype == torch.float32
+
+
+@given(st.floats(-math.pi, math.pi), st.integers(-3, 3))
+def test_a_bearing_is_told_alike_all_round(bearing_rad: float, turns: int) -> None:
+    found, again, next_on = tell(bearing_rad, bearing_rad + 2 * math.pi * turns, bearing_rad + STEP)
+    np.testing.assert_allclose(again, found, atol=1e-5)
+    np.testing.assert_allclose(next_on, np.roll(found, 1), atol=1e-5)
+    mirrored = tell(-bearing_rad)[0]
+    np.testing.assert_allclose(mirrored, np.roll(found[::-1], 1), atol=1e-5)
+
+
+def test_the_head_is_told_the_bearing_too(full: SteeringNet) -> None:
+    x, goal = torch.randn(1, 3, 48, 64), torch.tensor([0.8])
+    with torch.no_grad():
+        found = full.features(x, goal)
+    assert found.shape == (1, 128 + 24)
+    torch.testing.assert_close(found[:, 128:], told(goal))
+    # The units in between know it, too.
+    with torch.no_grad():
+        assert not torch.allclose(full.features(x, -goal)[:, :128], found[:, :128], atol=1e-4)
 
 
 def test_the_penalty_is_the_sum_over_the_layers(net: SteeringNet, full: SteeringNet) -> None:

@@ -141,7 +141,6 @@ def run(*args: object) -> Result:
 def test_the_command(tmp_path: Path) -> None:
     config = SteeringConfig(width=32, height=32)
     model = put_model(tmp_path / "m.safetensors", config)
-    seen = put_recording(tmp_path / "seen", scenes(33, 32, 32))
     done = run(model, "-o", tmp_path / "m.onnx", "--json")
     assert done.exit_code == 0, done.stderr
     assert done.stderr == ""  # the libraries keep quiet
@@ -149,6 +148,12 @@ def test_the_command(tmp_path: Path) -> None:
     assert set(found) == {"output", "up_to_date", "precision", "size_bytes", "comparison"}
     assert found["precision"] == "float32"
     assert found["comparison"]["mae_before"] is None
+
+
+@pytest.mark.slow
+def test_the_command_in_int8(tmp_path: Path) -> None:
+    model = put_model(tmp_path / "m.safetensors", SteeringConfig(width=32, height=32))
+    seen = put_recording(tmp_path / "seen", scenes(33, 32, 32))
     shown = run(model, "-o", tmp_path / "i.onnx", "--int8", "--calibrate", seen)
     assert shown.stderr == ""
     assert "MAE" in shown.stdout

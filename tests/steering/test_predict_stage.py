@@ -24,11 +24,13 @@ from hrt_cli.steering.predictions import read_predictions
 from hrt_cli.steering.predictor import TorchPredictor
 from hrt_cli.steering.uncertainty import uncertainty
 
+# Nothing here depends on what a network makes of a picture.
+pytestmark = pytest.mark.usefixtures("tiny_throughout")
 FEW = SteerRequest(passes=3, batch=2)
 
 
 @pytest.fixture(scope="module")
-def net() -> SteeringNet:
+def net(tiny_throughout: None) -> SteeringNet:
     return small_net(crop_top=0.25)
 
 
@@ -38,7 +40,7 @@ def model(net: SteeringNet, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def goal_model(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def goal_model(tiny_throughout: None, tmp_path_factory: pytest.TempPathFactory) -> Path:
     net = small_net(goal=True, outputs=("yaw", "pitch"), half_classes=2)
     return put_net(tmp_path_factory.mktemp("goal") / "m.safetensors", net)
 

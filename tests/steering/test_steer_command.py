@@ -53,6 +53,7 @@ def test_the_result_and_its_keys(model: Path, tmp_path: Path) -> None:
     assert "up to date" in again.stdout
 
 
+@pytest.mark.usefixtures("tiny")
 def test_options_reach_the_work(tmp_path: Path) -> None:
     model = put_net(tmp_path / "m.safetensors", small_net(goal=True))
     recording = put_recording(tmp_path / "r", 2)
@@ -72,7 +73,8 @@ def test_options_reach_the_work(tmp_path: Path) -> None:
     )
 
 
-def test_two_ways_are_told(net: SteeringNet, tmp_path: Path) -> None:
+@pytest.mark.usefixtures("tiny")
+def test_two_ways_are_told(tmp_path: Path) -> None:
     torn = small_net()
     with torch.no_grad():
         torn.heads["yaw"].weight.zero_()
@@ -119,14 +121,17 @@ def test_a_pickle_never_runs(tmp_path: Path, name: str) -> None:
     assert not marker.exists()
 
 
-def test_weights_that_are_no_numbers(net: SteeringNet, tmp_path: Path) -> None:
+@pytest.mark.usefixtures("tiny")
+def test_weights_that_are_no_numbers(tmp_path: Path) -> None:
     bad = small_net()
     with torch.no_grad():
         bad.trunk.conv1.weight[0, 0, 0, 0] = float("nan")
     assert "not all finite" in refused(put_net(tmp_path / "m.safetensors", bad), tmp_path)
 
 
-def test_a_later_version(net: SteeringNet, tmp_path: Path) -> None:
+@pytest.mark.usefixtures("tiny")
+def test_a_later_version(tmp_path: Path) -> None:
+    net = small_net()
     path = tmp_path / "m.safetensors"
     document = {"format": "hrt-steering", "version": 2, "config": json.loads(net.config.model_dump_json())}
     publish_tensors(path, dict(net.state_dict()), document, record("train-steer", 1, {}, {}))

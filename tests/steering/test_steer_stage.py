@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -13,16 +14,17 @@ from steer_files import put_recording
 
 from hrt_cli.artifacts.stage import REFUSE, Existing
 from hrt_cli.errors import ArgumentError, InputError, OutputError
-from hrt_cli.steering import precision, training
+from hrt_cli.steering import network, precision, training
 from hrt_cli.steering.augment import Augment
 from hrt_cli.steering.model import model_provenance, read_model, read_tensors
 from hrt_cli.steering.network import SteeringConfig, SteeringNet
 from hrt_cli.steering.predictor import TorchPredictor
+from hrt_cli.steering.resnet import ResNet18
 from hrt_cli.steering.train import SteerSpec
 from hrt_cli.steering.training import SteerTraining, read_record, train_steer_file
 
 pytestmark = pytest.mark.usefixtures("tiny")
-SPEC = SteerSpec(epochs=3, batch=8, threads=1)
+SPEC = SteerSpec(epochs=3, batch=8, gap=0, threads=1)
 CONFIG = SteeringConfig(width=32, height=32, half_classes=3)
 
 
@@ -52,6 +54,7 @@ def test_the_model_is_the_best_epoch_with_its_temperature(made: tuple[Path, Stee
     assert len(record.history) == 3
     assert record.best.validation_loss == min(each.validation_loss for each in record.history)
     assert (record.train_frames, record.validation_frames, record.skipped, record.sessions) == (24, 6, 0, 2)
+    assert record.split == "by block: 20% of the frames held out, 0 frames beside them dropped (gap 0)"
     net = read_model(output)
     assert net.config.temperature == record.best.temperature
     assert record == read_record(output)
@@ -103,9 +106,10 @@ def test_the_folder_and_its_name_do_not_matter(data: Path, tmp_path: Path, made:
 @pytest.mark.parametrize(
     "change",
     [
-        {"spec": SteerSpec(epochs=2, batch=8, threads=1)},
-        {"spec": SteerSpec(epochs=3, batch=8, threads=2)},
-        {"spec": SteerSpec(epochs=3, batch=8, threads=1, augment=Augment.none())},
+        {"spec": replace(SPEC, epochs=2)},
+        {"spec": replace(SPEC, threads=2)},
+        {"spec": replace(SPEC, gap=1)},
+        {"spec": replace(SPEC, augment=Augment.none())},
         {"config": CONFIG.model_copy(update={"columns": 2})},
         {"precision": "bf16"},
         {"correction": 0.1},
@@ -182,7 +186,7 @@ def test_outputs_and_goal_follow_the_data(tmp_path: Path) -> None:
     assert set(done.record.best.outputs) == set(done.record.best.temperature) == {"yaw", "pitch"}
     assert run(data, output, metrics=tmp_path / "m.jsonl").up_to_date
     assert run(data, output, metrics=tmp_path / "m.jsonl").up_to_date
-    run(data, blind, SteerSpec(epochs=1, batch=8, threads=1, goal=False))
+    run(data, blind, replace(SPEC, epochs=1, goal=False))
     assert not read_model(blind).config.goal
 
 
@@ -202,7 +206,7 @@ def test_what_is_held_out_must_be_alike_and_apart(data: Path, tmp_path: Path) ->
 def test_it_goes_on_from_another_model(data: Path, tmp_path: Path, made: tuple[Path, SteerTraining]) -> None:
     first, output = made[0], tmp_path / "next.safetensors"
     # With no step to speak of, what is written is what it began from.
-    still = SteerSpec(epochs=1, batch=8, threads=1, learning_rate=1e-12, weight_decay=0.0)
+    still = replace(SPEC, epochs=1, learning_rate=1e-12, weight_decay=0.0)
     run(data, output, still, init=first)
     before, after = read_tensors(first)[0], read_tensors(output)[0]
     torch.testing.assert_close(after["heads.yaw.weight"], before["heads.yaw.weight"])
@@ -219,12 +223,12 @@ def test_it_goes_on_from_another_model(data: Path, tmp_path: Path, made: tuple[P
 
 @pytest.mark.slow
 def test_it_begins_from_published_weights(data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.undo()
+    monkeypatch.setattr(network, "ResNet18", ResNet18)
     torch.manual_seed(5)
     trunk = SteeringNet(CONFIG).trunk.state_dict()
     weights, output = tmp_path / "resnet18.pth", tmp_path / "m.safetensors"
     torch.save(trunk | {"fc.weight": torch.zeros(1000, 512), "fc.bias": torch.zeros(1000)}, weights)
-    run(data, output, SteerSpec(epochs=1, batch=24, threads=1, learning_rate=1e-12), weights=weights)
+    run(data, output, replace(SPEC, epochs=1, batch=24, learning_rate=1e-12), weights=weights)
     net = read_model(output)
     torch.testing.assert_close(net.trunk.conv1.weight, trunk["conv1.weight"])
     assert net.config.mean == (0.485, 0.456, 0.406)
@@ -238,7 +242,7 @@ def test_a_model_no_better_than_a_constant_is_told(data: Path, tmp_path: Path) -
     blank = put_recording(tmp_path / "blank", 30)
     for path in (blank / "frames").iterdir():
         cv2.imwrite(str(path), np.full((32, 32, 3), 90, np.uint8))
-    spec = SteerSpec(epochs=1, batch=8, threads=1, learning_rate=1e-9)
+    spec = replace(SPEC, epochs=1, learning_rate=1e-9)
     done = run(blank, tmp_path / "m.safetensors", spec, validation=[put_recording(tmp_path / "v", 5, seed=8)])
     assert done.no_better_than_constant == (done.record.best.mae >= done.record.constant_baseline_mae)
     lied = done.record.model_copy(update={"constant_baseline_mae": done.record.best.mae})
@@ -249,9 +253,9 @@ def test_a_model_no_better_than_a_constant_is_told(data: Path, tmp_path: Path) -
 
 def test_random_frames_held_out_are_warned_of(data: Path, tmp_path: Path) -> None:
     notes: list[str] = []
-    spec = SteerSpec(epochs=1, batch=8, threads=1, split="random")
+    spec = replace(SPEC, epochs=1, split="random")
     run(data, tmp_path / "m.safetensors", spec, note=notes.append)
-    assert [note for note in notes if note.startswith("Warning: random frames are held out")]
+    assert [note for note in notes if note.startswith("Warning: random frame splits halve the apparent error")]
 
 
 def test_one_angle_teaches_nothing(tmp_path: Path) -> None:

@@ -23,7 +23,7 @@ from hrt_cli.steering.train import SteerSpec
 
 pytestmark = pytest.mark.usefixtures("tiny")
 COMMAND = shell.cli.get_command(click.Context(shell.cli), "train-steer")
-SMALL = ["--size", "32x32", "--epochs", "2", "--batch", "8", "--threads", "1"]
+SMALL = ["--size", "32x32", "--epochs", "2", "--batch", "8", "--gap", "0", "--threads", "1"]
 
 
 @pytest.fixture(scope="module")

@@ -1,0 +1,303 @@
+"""The learnt planner: what it asks its model, what it makes of the answer, and which models it takes."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from click.testing import CliRunner
+from numpy.typing import NDArray
+from tiny_trunk import TinyTrunk
+from world_files import ground_site, map_xy, put_plan, put_world
+
+from hrt_cli import main as shell
+from hrt_cli.artifacts.drivelog import drive_provenance, read_drive_log
+from hrt_cli.artifacts.provenance import file_sha256, record
+from hrt_cli.driving.course import Course
+from hrt_cli.driving.lens import camera_of, look
+from hrt_cli.driving.local import Command, Pose
+from hrt_cli.driving.simulator import Setting, first_heading, simulate
+from hrt_cli.driving.stage import DriveRequest, drive_file, local_planner
+from hrt_cli.driving.steer import Steer
+from hrt_cli.driving.vehicle import AUV, UGV
+from hrt_cli.errors import ArgumentError, InputError
+from hrt_cli.steering import network
+from hrt_cli.steering.model import publish_model
+from hrt_cli.steering.network import SteeringConfig, SteeringNet, directions
+from hrt_cli.steering.pictures import fitted
+from hrt_cli.world.site import Site
+
+EAST = math.pi / 2
+MIDDLE = Pose(5.0, 5.0, 0.0, 0.0, 0.0)
+"""In the middle of the site, nose to the north."""
+HALF = 7
+
+
+class Model:
+    """Answers the same whatever it is shown, and remembers what that was."""
+
+    def __init__(self, *, goal: bool = False, **answers: NDArray[np.float64]) -> None:
+        self.config = SteeringConfig(outputs=tuple(answers), half_classes=HALF, width=40, height=32, goal=goal)
+        self._answers = answers
+        self.seen: list[NDArray[np.uint8]] = []
+        self.told: list[NDArray[np.float32] | None] = []
+
+    def probabilities(self, pictures: NDArray[np.uint8], goal: NDArray[np.float32] | None = None) -> dict:
+        self.seen.append(pictures)
+        self.told.append(goal)
+        return {name: answer[None] for name, answer in self._answers.items()}
+
+
+def peaks(**shares: float) -> NDArray[np.float64]:
+    """A distribution with these shares in the classes k7, k-3, ... (minus written as _)."""
+    out = np.zeros(2 * HALF + 1)
+    for name, share in shares.items():
+        out[HALF + int(name[1:].replace("_", "-"))] = share
+    return out / out.sum()
+
+
+def setting(*points: tuple[float, float], site: Site | None = None, limit_s: float = 60.0) -> Setting:
+    site = site or ground_site(np.zeros((100, 100), np.bool_))
+    course = Course(np.array(points or ((5.0, 5.0), (5.0, 1.0)), float))
+    vehicle = AUV if site.under_water else UGV
+    return Setting(site, vehicle, course, vehicle.cruise_m_s, limit_s, first_heading(course), 3)
+
+
+def water() -> Site:
+    return ground_site(np.zeros((100, 100), np.bool_), bottom_m=-6.0, under_water=True)
+
+
+def decided(model: Model, pose: Pose = MIDDLE, **more: object) -> Command:
+    command = Steer(model, setting(**more)).decide(pose, pose)  # type: ignore[arg-type]
+    assert command is not None
+    return command
+
+
+@pytest.mark.parametrize(
+    ("distribution", "yaw"),
+    [
+        # The mean of all would be 0.1 and lead into what the ways lead round.
+        (peaks(k_5=0.4, k5=0.5), 5 / 7),
+        (peaks(k_5=0.5, k5=0.4), -5 / 7),
+        # About the best class: two on either side, by their shares.
+        (peaks(k1=0.1, k2=0.2, k3=0.4, k4=0.2, k5=0.1), 3 / 7),
+        (peaks(k2=0.3, k3=0.5, k6=0.2), (0.3 * 2 + 0.5 * 3) / 0.8 / 7),
+        # Three neighbours are likelier than one class that stands out a little.
+        (peaks(k_6=0.34, k2=0.22, k3=0.23, k4=0.21), (0.22 * 2 + 0.23 * 3 + 0.21 * 4) / 0.66 / 7),
+        # At the ends there is nothing beyond.
+        (peaks(k7=0.7, k6=0.1, k5=0.2), (0.7 * 7 + 0.1 * 6 + 0.2 * 5) / 7),
+        (peaks(k_7=0.7, k_6=0.1, k_5=0.2), -(0.7 * 7 + 0.1 * 6 + 0.2 * 5) / 7),
+    ],
+)
+def test_it_takes_the_mean_about_the_best_class(distribution: NDArray[np.float64], yaw: float) -> None:
+    assert decided(Model(yaw=distribution)).yaw == pytest.approx(yaw)
+
+
+def test_it_drives_slower_in_turns() -> None:
+    speeds = {k: decided(Model(yaw=peaks(**{f"k{k}".replace("-", "_"): 1.0}))).speed for k in (-7, -3, 0, 3, 7)}
+    # On the spot at 70 degrees; yaw 1 is 45 degrees.
+    assert speeds == pytest.approx({k: 1.0 - abs(k) / 7 * 45.0 / 70.0 for k in speeds})
+
+
+def test_pitch_is_told_only_by_a_model_that_has_one() -> None:
+    assert decided(Model(yaw=peaks(k0=1.0))).pitch == 0.0
+    model = Model(yaw=peaks(k_3=1.0), pitch=peaks(k2=0.5, k4=0.5))
+    command = decided(model, Pose(5.0, 5.0, -3.0, 0.0, 0.0), site=water())
+    assert (command.yaw, command.pitch) == (pytest.approx(-3 / 7), pytest.approx(3 / 7))
+
+
+def test_it_looks_at_every_second_decision_and_follows_the_course_at_each() -> None:
+    model = Model(goal=True, yaw=peaks(k2=1.0))
+    planner = Steer(model, setting((5.0, 9.0), (5.0, 1.0)))
+    looked, along, commands = [], [], []
+    for step in range(6):
+        pose = Pose(5.0, 9.0 - step, 0.0, 0.0, 0.0)
+        commands.append(planner.decide(pose, pose))
+        looked.append(len(model.seen))
+        along.append(planner.along_m)
+    assert looked == [1, 1, 2, 2, 3, 3]
+    assert along == pytest.approx([0, 1, 2, 3, 4, 5])
+    assert commands[0] is commands[1]
+    assert commands[1] is not commands[2]
+
+
+def test_the_goal_is_told_to_a_model_that_asks_for_it() -> None:
+    """In radians, right positive: the way goes east and the robot looks north; it is told where it thinks it is."""
+    asking, other = Model(goal=True, yaw=peaks(k0=1.0)), Model(yaw=peaks(k0=1.0))
+    way = setting((2.0, 5.0), (9.0, 5.0))
+    known, true = Pose(4.0, 5.0, 0.0, 0.0, 0.0), Pose(4.0, 6.5, 0.0, 0.1, 0.0)
+    for model in (asking, other):
+        Steer(model, way).decide(known, true)
+    (told,) = asking.told
+    assert told is not None
+    assert (told.shape, told.dtype) == ((1,), np.float32)
+    assert told[0] == pytest.approx(EAST, abs=1e-6)
+    assert other.told == [None]
+
+
+def test_it_sees_what_the_camera_sees_where_the_robot_is() -> None:
+    """West of it all is red, east of it all is blue; the place that it believes in is elsewhere."""
+    site = ground_site(np.zeros((100, 100), np.bool_))
+    rgb = np.empty((100, 100, 3), np.uint8)
+    rgb[:, :50], rgb[:, 50:] = (200, 40, 40), (40, 40, 200)
+    site = replace(site, rgb=rgb)
+    model = Model(yaw=peaks(k0=1.0))
+    there = setting(site=site)
+    planner = Steer(model, there)
+    for _ in range(3):
+        planner.decide(Pose(1.0, 5.0, 0.0, 0.0, 0.0), MIDDLE)
+    (first,), (second,) = model.seen
+    assert (first.shape, first.dtype) == ((32, 40, 3), np.uint8)
+    left, right = first[24:, :18].mean(axis=(0, 1)), first[24:, 22:].mean(axis=(0, 1))
+    assert left[0] > left[2] + 50
+    assert right[2] > right[0] + 50
+    assert not np.array_equal(first, second), "noise of its own in each frame"
+    bare = look(camera_of(site, there.seed), site, UGV, MIDDLE).rgb
+    assert np.abs(first.astype(int) - fitted(bare, model.config)).mean() < 4, "in the weather of the drive's seed"
+
+
+@pytest.mark.parametrize("k", [-4, 4])
+def test_right_is_positive(k: int) -> None:
+    model = Model(yaw=peaks(**{f"k{k}".replace("-", "_"): 1.0}))
+    there = setting(limit_s=2.0)
+    drive = simulate(there, Steer(model, there))
+    turned = math.sin(drive.records[-1, 3] - drive.records[0, 3])
+    assert math.copysign(1.0, turned) == math.copysign(1.0, k)
+    assert abs(turned) > 0.5
+
+
+def put_net(path: Path, net: SteeringNet) -> Path:
+    publish_model(path, net, net.config, record("train-steer", 1, {}, {}))
+    return path
+
+
+@pytest.fixture
+def small(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Networks with a tiny trunk."""
+    monkeypatch.setattr(network, "ResNet18", TinyTrunk)
+
+
+@pytest.mark.usefixtures("small")
+def test_a_model_of_another_kind_of_robot_is_refused(tmp_path: Path) -> None:
+    ground, sea = setting(), setting(site=water())
+    models = {}
+    for outputs in (("yaw",), ("yaw", "pitch")):
+        config = SteeringConfig(outputs=outputs, width=32, height=32)
+        models[outputs] = put_net(tmp_path / f"{len(outputs)}.safetensors", SteeringNet(config))
+    assert local_planner("steer", ground, models["yaw",]).name == "steer"
+    assert local_planner("steer", sea, models["yaw", "pitch"]).name == "steer"
+    with pytest.raises(InputError, match=r"1\.safetensors: steers yaw: made for another kind of robot"):
+        local_planner("steer", sea, models["yaw",])
+    with pytest.raises(InputError, match=r"2\.safetensors: steers yaw and pitch: made for another kind of robot"):
+        local_planner("steer", ground, models["yaw", "pitch"])
+    with pytest.raises(ArgumentError, match="needs a model"):
+        local_planner("steer", ground)
+
+
+@pytest.fixture(scope="module")
+def world(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return put_world(tmp_path_factory.mktemp("world"), np.zeros((60, 100)), classes=np.zeros((60, 100)))
+
+
+@pytest.fixture
+def plan(tmp_path: Path) -> Path:
+    return put_plan(tmp_path / "p.json", [map_xy(*place) for place in ((2.0, 3.0), (5.0, 3.0), (7.0, 3.0))])
+
+
+def drive(*args: object) -> list[str]:
+    return ["drive", *map(str, args)]
+
+
+@pytest.mark.parametrize("more", [["--local", "steer"], ["--model", "m"], ["--local", "expert", "--model", "m"]])
+def test_steer_and_a_model_go_together(world: Path, plan: Path, tmp_path: Path, more: list[str]) -> None:
+    done = CliRunner().invoke(shell.cli, drive(plan, "--world", world, "-o", tmp_path / "d.jsonl", *more))
+    assert done.exit_code == 2
+    assert "--local steer needs a --model, and no other takes one" in done.stderr
+    assert not (tmp_path / "d.jsonl").exists()
+    request = DriveRequest(more[1] if "--local" in more else "pursuit", Path("m") if "--model" in more else None)
+    with pytest.raises(ArgumentError, match="needs a --model"):
+        drive_file(plan, world, tmp_path / "d.jsonl", request)
+
+
+def damaged(path: Path) -> str:
+    with torch.random.fork_rng():
+        put_net(path, SteeringNet(SteeringConfig(width=32, height=32)))
+    whole = bytearray(path.read_bytes())
+    whole[-9] ^= 1
+    path.write_bytes(whole)
+    return "its content is not what its provenance recorded"
+
+
+def pickled(path: Path) -> str:
+    torch.save({"weight": torch.zeros(3)}, path)
+    return "is no safetensors file"
+
+
+@pytest.mark.usefixtures("small")
+@pytest.mark.parametrize(
+    ("name", "make"), [("m.pth", pickled), ("m.safetensors", damaged), ("absent.safetensors", lambda path: "no such")]
+)
+def test_a_model_that_cannot_be_used_is_refused_in_one_line(
+    world: Path, plan: Path, tmp_path: Path, name: str, make, capsys: pytest.CaptureFixture[str]
+) -> None:
+    problem = make(tmp_path / name)
+    before = sorted(tmp_path.iterdir())
+    words = drive(plan, "--world", world, "-o", tmp_path / "d.jsonl", "--local", "steer", "--model", tmp_path / name)
+    assert shell._run(words) == 1
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith("Error: ")
+    assert name in line
+    assert problem in line
+    assert sorted(tmp_path.iterdir()) == before
+
+
+def homing(seed: int = 0) -> SteeringNet:
+    """An untrained network but for its head, which steers to the goal whatever it sees."""
+    with torch.random.fork_rng():
+        torch.manual_seed(seed)
+        net = SteeringNet(SteeringConfig(width=64, height=48, goal=True))
+    error = (directions() + math.pi) % (2 * math.pi) - math.pi
+    wanted = (error / (math.pi / 4)).clamp(-1, 1)
+    angles = torch.linspace(-1, 1, 2 * HALF + 1)
+    head = net.heads["yaw"]
+    with torch.no_grad():
+        head.weight.zero_()
+        head.bias.zero_()
+        head.weight[:, -24:] = -20.0 * (angles[:, None] - wanted) ** 2
+    return net
+
+
+def test_a_network_in_a_file_drives_to_where_it_is_told(world: Path, plan: Path, tmp_path: Path) -> None:
+    model = put_net(tmp_path / "m.safetensors", homing())
+    request = DriveRequest("steer", model, time_limit_s=40.0, seed=2)
+    logs = [tmp_path / "1.jsonl", tmp_path / "2.jsonl"]
+    torch.set_num_threads(1)
+    for path in logs:
+        found = drive_file(plan, world, path, request)
+        assert (found.end, found.collisions, found.interventions) == ("arrived", 0, 0)
+        assert found.distance_m == pytest.approx(5.0, abs=0.7)
+    assert logs[0].read_bytes() == logs[1].read_bytes()
+    assert read_drive_log(logs[0]).place[-1] == pytest.approx(map_xy(7.0, 3.0), abs=1.0)
+    told = {each.role: each.sha256 for each in drive_provenance(logs[0]).inputs}
+    assert told["model"] == file_sha256(model)
+    assert drive_file(plan, world, logs[0], request).up_to_date
+
+
+def test_an_untrained_network_drives_the_same_way_twice(world: Path, plan: Path, tmp_path: Path) -> None:
+    """By what it sees, which is the same twice, too."""
+    with torch.random.fork_rng():
+        torch.manual_seed(1)
+        net = SteeringNet(SteeringConfig(width=64, height=48, goal=True))
+        torch.nn.init.normal_(net.heads["yaw"].weight, std=0.5)
+    model = put_net(tmp_path / "m.safetensors", net)
+    torch.set_num_threads(1)
+    request = DriveRequest("steer", model, time_limit_s=6.0)
+    logs = [tmp_path / "1.jsonl", tmp_path / "2.jsonl", tmp_path / "3.jsonl"]
+    for path, seed in zip(logs, (0, 0, 1), strict=True):
+        drive_file(plan, world, path, replace(request, seed=seed))
+    assert logs[0].read_bytes() == logs[1].read_bytes()
+    assert logs[0].read_text().splitlines()[1:] != logs[2].read_text().splitlines()[1:]
