@@ -123,6 +123,8 @@ def publish_tensors(target: Path, tensors: dict[str, Tensor], document: dict[str
 def read_tensors(path: Path) -> tuple[dict[str, Tensor], dict[str, Any], Provenance | None]:
     """Read what `publish_tensors` wrote: tensors, document, and provenance, against which both are checked.
 
+    The document is empty, and there is no provenance, in a file that another program wrote.
+
     Raises
     ------
     InputError
@@ -138,8 +140,8 @@ def read_tensors(path: Path) -> tuple[dict[str, Tensor], dict[str, Any], Provena
             tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 - not a mapping
     except (SafetensorError, OSError, ValueError, RuntimeError) as error:
         raise InputError(path, "is no safetensors file, or a damaged one") from error
-    if text is None:
-        raise InputError(path, "was not written by hrt: its header holds no configuration")
+    if text is None:  # another program's
+        return tensors, {}, None
     document = parse_strict(path, text)
     if not isinstance(document, dict):
         raise InputError(path, "its header is damaged")

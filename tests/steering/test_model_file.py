@@ -121,7 +121,7 @@ def test_other_documents(net: SteeringNet, file: Path, tmp_path: Path) -> None:
     assert "config.layers" in refusal(put(path, net, config=config | {"layers": 18}))
     assert "config.half_classes" in refusal(put(path, net, config=config | {"half_classes": "7"}))
     save_file(tensors_of(net), path)
-    assert "not written by hrt" in refusal(path)
+    assert "is not a steering model of hrt" in refusal(path)
     with safe_open(file, framework="pt") as opened:
         unsigned = json.loads(opened.metadata()["hrt"])
     del unsigned["provenance"]
