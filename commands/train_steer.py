@@ -120,7 +120,7 @@ def train_steer(
     data, options and seed give the same bytes on the same kind of machine. A training that was stopped goes on where
     it was when the same command is run again; to begin anew instead, delete .OUTPUT.hrt-checkpoint.
     """
-    from hrt_cli.report.steering import check_training_target, draw_training
+    from hrt_cli.report.steering_curve import check_training_target, draw_training
     from hrt_cli.steering.augment import Augment
     from hrt_cli.steering.network import SteeringConfig
     from hrt_cli.steering.train import SteerSpec

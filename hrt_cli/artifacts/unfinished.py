@@ -1,0 +1,95 @@
+"""The unfinished work beside its output, so that what was stopped goes on where it was.
+
+A file `.<output>.hrt-checkpoint`, published in one piece like any artifact and stamped with the provenance that the
+output will bear. Work is never stopped by it: where it cannot be read the work begins anew, and where it cannot be
+written the work goes on without.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
+from typing import TypeVar
+
+from hrt_cli.artifacts.provenance import Provenance
+from hrt_cli.artifacts.publish import sweep
+from hrt_cli.errors import InputError, OutputError
+from hrt_cli.progress import Note, unheard
+
+C = TypeVar("C")
+S = TypeVar("S")
+
+
+class Unfinished:
+    """The checkpoint of a training.
+
+    Parameters
+    ----------
+    output : Path
+        The file that the training will write.
+    provenance : Provenance
+        What makes it; a checkpoint of another fingerprint or version of hrt is not used.
+    note : callable
+        Told, in one line each, what became of the checkpoint.
+    """
+
+    def __init__(self, output: Path, provenance: Provenance, note: Note = unheard) -> None:
+        self.path = output.with_name(f".{output.name}.hrt-checkpoint")
+        self._provenance = provenance
+        self._note = note
+        self._warned = False
+
+    def load(self, read: Callable[[Path], tuple[C, Provenance | None]], use: Callable[[C], S]) -> S | None:
+        """Return what `use` makes of the file's content; None where there is none that can be used.
+
+        Parameters
+        ----------
+        read : callable
+            Returns what a file holds, and its provenance. Raises InputError where it is damaged.
+        use : callable
+            Raises ValueError or InputError where the content is not what it should be.
+        """
+        if not os.path.lexists(self.path):
+            return None
+        try:
+            content, found = read(self.path)
+            if found is None:
+                raise InputError(self.path, "carries no provenance")
+            if not self._is_ours(found):
+                self._note(f"Note: {self.path}: is of a training with other settings and will be replaced")
+                return None
+            return use(content)
+        except InputError as error:
+            self._note(f"Warning: {error}; the training begins anew")
+        except ValueError as error:
+            self._note(f"Warning: {self.path}: {error}; the training begins anew")
+        return None
+
+    def save(self, publish: Callable[[Path, Provenance], None]) -> bool:
+        """Write the file; return whether it could be. The first time that it cannot, a note tells."""
+        try:
+            publish(self.path, self._provenance)
+        except OutputError as error:
+            if not self._warned:
+                self._note(f"Warning: {error}; should the training be stopped, this part of it is lost")
+            self._warned = True
+            return False
+        return True
+
+    def remove(self) -> None:
+        """Delete the file, and what a killed process left of it: the output is there."""
+        with suppress(OSError):
+            self.path.unlink(missing_ok=True)
+            sweep(self.path)
+
+    def remove_own(self, read_provenance: Callable[[Path], Provenance | None]) -> None:
+        """Delete the file where it is of this very training, which an earlier run ended."""
+        with suppress(InputError):
+            if self._is_ours(read_provenance(self.path)):
+                self.remove()
+
+    def _is_ours(self, found: Provenance | None) -> bool:
+        wanted = self._provenance
+        return found is not None and (found.fingerprint, found.version) == (wanted.fingerprint, wanted.version)
