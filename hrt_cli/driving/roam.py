@@ -23,12 +23,15 @@ _DEPTH_M = 2.0
 _LONGEST_LEG_M = 30.0
 _DRAWN = 256
 """Places from which the end of a leg is chosen."""
+_BLOCKED, _CHOICE = 0.75, 64
+"""Share of the legs that lead across what has to be gone round, where one of so many places offers such a leg."""
 
 
 def roam_course(site: Site, vehicle: Vehicle, length_m: float, seed: int) -> Course:
     """Return a course of straight legs, at most 30 m each, between random places that can be reached from one another.
 
-    The legs lead over what stands between them, which is for the local planner to go round, but not off the survey.
+    Three in four lead across what stands between them, where there is such a leg: it is for the local planner to go
+    round it. None leads off the survey.
 
     Raises
     ------
@@ -56,13 +59,15 @@ def roam_course(site: Site, vehicle: Vehicle, length_m: float, seed: int) -> Cou
         wanted = points[-1] + leg_m * np.array([math.sin(turn), math.cos(turn)])
         near = places[rng.integers(len(places), size=_DRAWN)]
         near = near[np.hypot(*(near - wanted).T).argsort(kind="stable")]
-        points.append(next((each for each in near if _is_surveyed(inside, site, points[-1], each)), near[0]))
+        legs = [each for each in near if _is_all(inside, site, points[-1], each)] or [near[0]]
+        blocked = [each for each in legs[:_CHOICE] if not _is_all(free, site, points[-1], each)]
+        points.append(blocked[0] if blocked and rng.random() < _BLOCKED else legs[0])
         length += float(np.hypot(*(points[-1] - points[-2])))
     return Course(np.array(points))
 
 
-def _is_surveyed(inside: NDArray[np.bool_], site: Site, start: NDArray[np.float64], end: NDArray[np.float64]) -> bool:
-    """Whether a straight leg leads over surveyed ground alone."""
+def _is_all(good: NDArray[np.bool_], site: Site, start: NDArray[np.float64], end: NDArray[np.float64]) -> bool:
+    """Whether a straight leg leads over good pixels alone."""
     steps = math.ceil(float(np.hypot(*(end - start))) / site.pixel_m) + 1
     cols, rows = np.floor(np.linspace(start, end, steps) / site.pixel_m).astype(np.int64).T
-    return bool(inside[rows, cols].all())
+    return bool(good[rows, cols].all())

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from hrt_cli.errors import ArgumentError
 from hrt_cli.steering.angles import nearest_class
+from hrt_cli.steering.augment import YAW_UNIT_RAD
 
 MOST = 10.0
 """How many times more often than on average a frame is drawn at most."""
@@ -44,6 +45,23 @@ def class_weights(yaw: NDArray[np.float32], half_classes: int, strength: float) 
         if not (beyond & ~capped).any():
             return weight
         capped |= beyond
+
+
+def unexplained(yaw: NDArray[np.float32], goal: NDArray[np.float32] | None) -> NDArray[np.float32]:
+    """Return what of the steering is not just making for the goal, float32 [n] in [-1, 1]; without goals all of it.
+
+    Where nothing is in the way, yaw is the goal's bearing: those frames are many, and teach a network nothing to see.
+
+    Parameters
+    ----------
+    yaw : float32 [n]
+        In [-1, 1].
+    goal : float32 [n] or None
+        Bearings in radians.
+    """
+    if goal is None:
+        return yaw
+    return np.asarray(np.clip(yaw - np.clip(goal / YAW_UNIT_RAD, -1.0, 1.0), -1.0, 1.0), np.float32)
 
 
 def draw_epoch(weight: NDArray[np.float64], rng: np.random.Generator) -> NDArray[np.int64]:

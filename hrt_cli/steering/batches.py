@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from hrt_cli.steering.augment import Augment, augment
-from hrt_cli.steering.balance import class_weights, draw_epoch
+from hrt_cli.steering.balance import class_weights, draw_epoch, unexplained
 from hrt_cli.steering.network import SteeringConfig
 from hrt_cli.steering.pictures import prepare
 
@@ -90,9 +90,11 @@ def epoch_batches(
 ) -> Generator[Batch, None, None]:
     """Yield the batches of an epoch from number `first` on, each made while the one before it is in use.
 
-    Every frame comes once an epoch; with a balance, those of rare yaw more often, and as many in all.
+    Every frame comes once an epoch; with a balance, those of rare yaw more often, and as many in all. Where the network
+    is told goals, rare is what the goal does not explain.
     """
-    weight = class_weights(frames.steering[:, 0], config.half_classes, balance_strength)
+    rare = unexplained(frames.steering[:, 0], frames.goal)
+    weight = class_weights(rare, config.half_classes, balance_strength)
     order = draw_epoch(weight, np.random.default_rng([seed, _ORDER, epoch]))
     parts = np.array_split(order, batch_count(len(frames), batch))
 

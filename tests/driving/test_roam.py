@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 from world_files import ground_site
@@ -31,6 +33,23 @@ def test_all_of_it_lies_on_one_side_of_a_wall_without_a_gap() -> None:
     obstacle[:, 190:200] = True
     points = roam_course(ground_site(obstacle), UGV, 300.0, 1).points
     assert (points[:, 0] < 19.0).all(), "the larger side"
+
+
+def test_most_legs_lead_across_what_has_to_be_gone_round_and_none_off_the_survey() -> None:
+    obstacle = np.zeros((SIDE, SIDE), np.bool_)
+    for row in range(40, 280, 60):
+        for col in range(40, 280, 60):
+            obstacle[row : row + 12, col : col + 12] = True
+    seen = np.ones((SIDE, SIDE), np.bool_)
+    seen[:120, 150:] = False
+    site = ground_site(obstacle, seen=seen)
+    points = roam_course(site, UGV, 900.0, 4).points
+    blocked = 0
+    for start, end in pairwise(points):
+        cols, rows = np.floor(np.linspace(start, end, 400) / site.pixel_m).astype(int).T
+        assert seen[rows, cols].all()
+        blocked += bool((site.clearance_m[rows, cols] < UGV.radius_m + 0.25).any())
+    assert 0.6 < blocked / (len(points) - 1) <= 1.0
 
 
 def test_seeds_differ_and_repeat() -> None:

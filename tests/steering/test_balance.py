@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hrt_cli.errors import ArgumentError
-from hrt_cli.steering.balance import class_weights, draw_epoch
+from hrt_cli.steering.balance import class_weights, draw_epoch, unexplained
 
 YAWS = st.lists(st.floats(-1, 1, width=32), min_size=1, max_size=200).map(lambda each: np.array(each, np.float32))
 
@@ -80,3 +80,10 @@ def test_over_many_epochs() -> None:
 def test_refused(strength: float) -> None:
     with pytest.raises(ArgumentError, match="strength"):
         class_weights(np.zeros(3, np.float32), 1, strength)
+
+
+def test_what_the_goal_explains_is_not_rare() -> None:
+    yaw = np.array([0.0, 0.5, 1.0, -0.5, 0.4], np.float32)
+    goal = np.radians(np.array([0.0, 22.5, 120.0, 22.5, 0.0], np.float32))
+    assert unexplained(yaw, goal) == pytest.approx([0.0, 0.0, 0.0, -1.0, 0.4], abs=1e-6)
+    assert unexplained(yaw, None) is yaw
