@@ -1,6 +1,6 @@
 """A robot that learns to steer from one survey: how it drives there and elsewhere, beside behavioural cloning.
 
-    python benchmarks/dagger.py SITE [--elsewhere SITE...] [--out DIR] [KEY=VALUE...]
+    python benchmarks/dagger.py SITE [--elsewhere SITE]... [--out DIR] [KEY=VALUE...]
 
 SITE is a folder with ortho.tif and dsm.tif. The learning is `make -f steer.mk`, KEY=VALUE as for make, in DIR/dagger;
 behavioural cloning is the same with one round, in which the expert drives, undisturbed, as many drives as all rounds
@@ -108,7 +108,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("site", type=Path)
     parser.add_argument("settings", nargs="*", help="KEY=VALUE, as for make")
-    parser.add_argument("--elsewhere", type=Path, nargs="*", default=[])
+    parser.add_argument("--elsewhere", type=Path, action="append", default=[], help="another site (repeatable)")
     parser.add_argument("--out", type=Path)
     parser.add_argument("--courses", type=int, default=4)
     parser.add_argument("--metres", type=float, default=300.0, help="of each course")
