@@ -23,6 +23,7 @@ from hrt_cli.artifacts.provenance import Provenance
 from hrt_cli.artifacts.publish import publishing
 from hrt_cli.errors import InputError
 from hrt_cli.steering.network import SteeringConfig, SteeringNet
+from hrt_cli.steering.signals import undivided
 
 FORMAT, VERSION = "hrt-steering", 1
 _KEY = "hrt"
@@ -116,7 +117,8 @@ def publish_tensors(target: Path, tensors: dict[str, Tensor], document: dict[str
     with publishing(target, model_provenance) as draft:
         draft.touch()
         mode = draft.stat().st_mode
-        save_file(tensors, draft, metadata={_KEY: text})
+        with undivided():
+            save_file(tensors, draft, metadata={_KEY: text})
         draft.chmod(mode)  # the library's own is 0600, whatever the user's umask
 
 
@@ -135,7 +137,8 @@ def read_tensors(path: Path) -> tuple[dict[str, Tensor], dict[str, Any], Provena
     if path.stat().st_size > MAX_BYTES:
         raise InputError(path, f"is larger than the {MAX_BYTES} bytes that are read")
     try:
-        with safe_open(path, framework="pt", device="cpu") as file:
+        # A signal in the midst of the library would come out of it as an error of the file.
+        with undivided(), safe_open(path, framework="pt", device="cpu") as file:
             text = (file.metadata() or {}).get(_KEY)
             tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 - not a mapping
     except (SafetensorError, OSError, ValueError, RuntimeError) as error:

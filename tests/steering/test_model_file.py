@@ -4,17 +4,19 @@ from __future__ import annotations
 
 import json
 import os
+import signal
 from pathlib import Path
 from typing import Any
 
 import pytest
 import torch
 from predict_files import put_net, small_net
-from safetensors import safe_open
+from safetensors import SafetensorError, safe_open
 from safetensors.torch import save_file
 
 from hrt_cli.artifacts.provenance import record
 from hrt_cli.errors import InputError
+from hrt_cli.steering import model
 from hrt_cli.steering.model import model_provenance, publish_model, publish_tensors, read_model, read_tensors
 from hrt_cli.steering.network import SteeringNet
 
@@ -180,3 +182,30 @@ def test_tensors_of_other_kinds_come_back(tmp_path: Path) -> None:
     for name, tensor in tensors.items():
         assert torch.equal(back[name], tensor)
         assert back[name].dtype == tensor.dtype
+
+
+def test_a_signal_while_a_file_is_read_is_a_signal_and_no_damage(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Inside the library it would come out as an error of the file."""
+
+    class StoppedError(BaseException):
+        pass
+
+    def stop(number: int, frame: object) -> None:
+        raise StoppedError
+
+    before = signal.signal(signal.SIGTERM, stop)
+    plain = model.safe_open
+
+    def interrupted(*arguments: Any, **options: Any) -> Any:
+        try:
+            signal.raise_signal(signal.SIGTERM)
+        except StoppedError as error:  # as what is raised in the midst of the library is
+            raise SafetensorError(str(error)) from error
+        return plain(*arguments, **options)
+
+    monkeypatch.setattr(model, "safe_open", interrupted)
+    try:
+        with pytest.raises(StoppedError):
+            read_tensors(file)
+    finally:
+        signal.signal(signal.SIGTERM, before)

@@ -72,24 +72,24 @@ def test_a_bearing_is_told_by_the_directions_near_it() -> None:
     np.testing.assert_allclose(directions().numpy(), np.arange(24) * math.radians(15.0), rtol=1e-6)
     at, midway, behind = tell(3 * STEP, 3.5 * STEP, -math.pi)
     assert at.shape == (24,)
-    assert at[3] == pytest.approx(1.0)
+    assert at[3] == pytest.approx(8.0)
     assert at.argmax() == 3
-    assert midway[[3, 4]] == pytest.approx(0.5)
-    assert (np.delete(midway, [3, 4]) < 0.02).all()
-    assert behind[12] == pytest.approx(1.0)
-    # Where it is asked, it is 2 to the power of (cos x - 1) / (1 - cos 7.5 degrees).
+    assert midway[[3, 4]] == pytest.approx(4.0)
+    assert (np.delete(midway, [3, 4]) < 0.16).all()
+    assert behind[12] == pytest.approx(8.0)
+    # Where it is asked, it is 8 times 2 to the power of (cos x - 1) / (1 - cos 7.5 degrees).
     power = (math.cos(math.radians(30.0)) - 1.0) / (1.0 - math.cos(math.radians(7.5)))
-    assert at[5] == pytest.approx(2.0**power, rel=1e-4)
+    assert at[5] == pytest.approx(8.0 * 2.0**power, rel=1e-4)
     assert told(torch.zeros(2)).dtype == torch.float32
 
 
 @given(st.floats(-math.pi, math.pi), st.integers(-3, 3))
 def test_a_bearing_is_told_alike_all_round(bearing_rad: float, turns: int) -> None:
     found, again, next_on = tell(bearing_rad, bearing_rad + 2 * math.pi * turns, bearing_rad + STEP)
-    np.testing.assert_allclose(again, found, atol=1e-5)
-    np.testing.assert_allclose(next_on, np.roll(found, 1), atol=1e-5)
+    np.testing.assert_allclose(again, found, atol=1e-4)
+    np.testing.assert_allclose(next_on, np.roll(found, 1), atol=1e-4)
     mirrored = tell(-bearing_rad)[0]
-    np.testing.assert_allclose(mirrored, np.roll(found[::-1], 1), atol=1e-5)
+    np.testing.assert_allclose(mirrored, np.roll(found[::-1], 1), atol=1e-4)
 
 
 def test_the_head_is_told_the_bearing_too(full: SteeringNet) -> None:
