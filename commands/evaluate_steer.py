@@ -34,14 +34,8 @@ Example:
     is_flag=True,
     help="Exit with 3 unless the error is smaller than that of always steering the median of the labels.",
 )
-@click.option("--skip-bad", is_flag=True, help="Leave out frames that cannot be used instead of refusing them.")
-@click.option(
-    "--correction",
-    type=opt.FiniteFloat(0, 1),
-    default=0.2,
-    show_default=True,
-    help="Added to the steering of a left camera, taken from that of a right one.",
-)
+@opt.skip_bad_opt
+@opt.correction_opt
 @opt.figure_opt
 @opt.existing_options
 @opt.console_options

@@ -36,7 +36,7 @@ Example:
     type=opt.PATH,
     help="Folder of recordings, or a picture file, to calibrate --int8 on and to compare on (repeatable).",
 )
-@click.option("--skip-bad", is_flag=True, help="Leave out frames that cannot be used instead of refusing them.")
+@opt.skip_bad_opt
 @opt.existing_options
 @opt.console_options
 def export_steer(

@@ -42,7 +42,7 @@ Example:
     "--every", type=click.IntRange(1, 1_000_000), default=1, show_default=True, help="Of videos, take each Nth frame."
 )
 @click.option("--batch", type=click.IntRange(1, 1024), default=16, show_default=True, help="Pictures at a time.")
-@click.option("--skip-bad", is_flag=True, help="Leave out and count what cannot be read, instead of refusing it.")
+@opt.skip_bad_opt
 @opt.seed_opt
 @opt.existing_options
 @opt.console_options

@@ -78,10 +78,8 @@ Example:
 @click.option("--augment/--no-augment", default=True, show_default=True, help="Vary the pictures.")
 @click.option("--threads", type=click.IntRange(1, 1024), default=2, show_default=True, help="Part of the result.")
 @opt.seed_opt
-@click.option(
-    "--correction", type=opt.FiniteFloat(0, 1), default=0.2, show_default=True, help="Steering added for side cameras."
-)
-@click.option("--skip-bad", is_flag=True, help="Leave bad rows and pictures out instead of refusing them.")
+@opt.correction_opt
+@opt.skip_bad_opt
 @click.option(
     "--precision",
     type=click.Choice(["auto", "float32", "bf16"]),

@@ -160,6 +160,18 @@ workers_opt = click.option(
     "--workers", type=click.IntRange(1, 256), default=1, show_default=True, help="Threads; the result is the same."
 )
 
+skip_bad_opt = click.option(
+    "--skip-bad", is_flag=True, help="Leave out, and count, rows and pictures that cannot be used."
+)
+
+correction_opt = click.option(
+    "--correction",
+    type=FiniteFloat(0, 1),
+    default=0.2,
+    show_default=True,
+    help="Steering added for a left camera, and taken off for a right one.",
+)
+
 bands_opt = click.option(
     "-b",
     "--bands",

@@ -19,6 +19,11 @@ endif
 
 count = $(shell awk 'BEGIN { for (k = 1; k <= $(1); k++) print k }')
 learn_rounds := $(call count,$(steer_rounds))
+ifeq ($(filter clean%,$(MAKECMDGOALS)),)
+ifneq ($(words $(wordlist 1,$(words $(learn_rounds)),$(steer_epochs))),$(words $(learn_rounds)))
+$(error $(CONFIG): steer_epochs needs a number for each of the $(steer_rounds) rounds, not '$(steer_epochs)')
+endif
+endif
 learn_drives := $(call count,$(steer_drives))
 steer_out := $(out)/steer
 world_files := $(wildcard $(addprefix $(world)/,ortho.tif ortho.vrt dsm.tif truth.tif classes.tif world.json))
