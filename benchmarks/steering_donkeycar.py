@@ -146,7 +146,9 @@ def train_pilot(kind: str, training: Driven, validation: Driven, seed: int, reci
         for _ in range(math.ceil(len(order) / recipe.batch)):
             rows = order[np.arange(at, at + recipe.batch) % len(order)]
             at += recipe.batch
-            pictures, angle, _ = augment(training.pictures[rows], training.angle[rows, None], None, strengths, rng)
+            pictures, angle, *_ = augment(
+                training.pictures[rows], training.angle[rows, None], None, None, strengths, rng
+            )
             optimiser.zero_grad()
             found = net(as_seen(pictures).to(device))
             loss_of(kind, found, angle[:, 0], training.throttle[rows], recipe).backward()

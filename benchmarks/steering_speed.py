@@ -17,6 +17,7 @@ from tables import Skipped, Table
 from hrt_cli.steering.angles import smoothed_labels
 from hrt_cli.steering.augment import augment
 from hrt_cli.steering.batches import Frames
+from hrt_cli.steering.gemm import Conv3x3
 from hrt_cli.steering.metrics import expected_angles
 from hrt_cli.steering.model import read_model
 from hrt_cli.steering.network import SteeringConfig, SteeringNet, total_loss
@@ -71,6 +72,9 @@ class PlainTraining:
     def __init__(self, config: SteeringConfig, frames: Frames, spec: SteerSpec, device: str) -> None:
         torch.manual_seed(spec.seed)
         self.net = SteeringNet(config).to(device)
+        for module in self.net.modules():
+            if isinstance(module, Conv3x3):
+                module.__class__ = torch.nn.Conv2d  # PyTorch's own forward
         self.optimiser = torch.optim.AdamW(
             self.net.parameters(), lr=spec.learning_rate, weight_decay=spec.weight_decay, fused=False
         )
@@ -80,7 +84,7 @@ class PlainTraining:
     def step(self, rows: NDArray[np.int64]) -> float:
         """Learn from some frames; return the loss."""
         spec, net = self._spec, self.net
-        pictures, steering, _ = augment(*self._frames.cut(rows), spec.augment, self._rng)
+        pictures, steering, *_ = augment(*self._frames.cut(rows), spec.augment, self._rng)
         # `prepare` gives a transposed view; contiguous is NCHW.
         seen = torch.from_numpy(prepare(pictures, net.config)).contiguous().to(self._device)
         yaw = torch.from_numpy(steering[:, 0])

@@ -39,6 +39,14 @@ Example:
 @click.option("--goal/--no-goal", default=True, show_default=True, help="Tell it where to go, if the data do.")
 @click.option("--sigma", type=opt.FiniteFloat(0, 2), default=0.08, show_default=True, help="Of smoothed labels.")
 @click.option(
+    "--cost-scale",
+    "cost_scale_s",
+    type=opt.FiniteFloat(0, 1000),
+    default=0.12,
+    show_default=True,
+    help="Seconds of turn_costs_s that leave an angle 1/e of the best's label; 0: labels of yaw alone.",
+)
+@click.option(
     "--entropy",
     "entropy_weight",
     type=opt.FiniteFloat(0, 10),

@@ -30,7 +30,8 @@ world_files := $(wildcard $(addprefix $(world)/,ortho.tif ortho.vrt dsm.tif trut
 roam_args = --world $(world) --roam $(steer_metres)
 # It is pushed off its way now and then, so that it shows how to get back.
 push_args = --local teacher --disturb $(steer_disturb)
-train_args = --balance $(steer_balance) --size $(steer_size) --columns $(steer_columns) --batch $(steer_batch) --patience 0 --threads $(workers)
+train_args = --balance $(steer_balance) --size $(steer_size) --crop-top $(steer_crop) --columns $(steer_columns) \
+  --batch $(steer_batch) --learning-rate $(steer_rate) --share 0.1 --patience 0 --threads $(workers)
 
 ifeq ($(filter clean%,$(MAKECMDGOALS)),)
 $(call stamp,steer-drive,$(roam_args) $(seed) $(steer_drives))

@@ -49,6 +49,8 @@ class GroundExpert:
     name = "expert"
     reach_cells: tuple[int, ...] = (5, 4, 3, 2, 1)
     """How far down its way it aims: the farthest of these that it can go straight to."""
+    beyond_s = 0.0
+    """How much dearer than that of where it is the ways are that it finds out, too."""
 
     def __init__(self, site: Site, course: Course, vehicle: Vehicle) -> None:
         self._course = course
@@ -121,13 +123,14 @@ class GroundExpert:
 
     def _search(self, cell: Cell, here: Cell) -> bool:
         """Find the ways to a cell, as far as the robot, or say that there is none from where it is."""
-        cost = ways_to(self._map.cost, self._map.cell_m, *cell, *here, _LONGEST_DETOUR_S, self._to_go)
+        limits = _LONGEST_DETOUR_S, self.beyond_s
+        cost = ways_to(self._map.cost, self._map.cell_m, *cell, *here, *limits, self._to_go)
         return math.isfinite(cost)
 
     def _reach(self, here: Cell) -> NDArray[np.float32]:
         """Return what it costs to get to each cell, infinite where it cannot be reached."""
         found = np.empty_like(self._to_go)
-        ways_to(self._map.cost, self._map.cell_m, *here, -1, -1, _LONGEST_DETOUR_S, found)
+        ways_to(self._map.cost, self._map.cell_m, *here, -1, -1, _LONGEST_DETOUR_S, 0.0, found)
         return found
 
     def _aim(self, pose: Pose, here: Cell) -> tuple[float, float]:

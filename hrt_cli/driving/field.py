@@ -129,12 +129,13 @@ def ways_to(
     until_row: int,
     until_col: int,
     limit: float,
+    margin: float,
     to_go: NDArray[np.float32],
 ) -> float:
     """Fill `to_go` [rows, cols] with the costs of the cheapest ways to (row, col); return that of the cell asked for.
 
-    Infinite where it was not found out: the search ends when the cell asked for is settled or the cost exceeds
-    `limit`. A way goes between 8 neighbours; a diagonal passes no corner that is blocked.
+    Infinite where it was not found out: the search ends when the cost exceeds `limit`, or that of the cell asked for by
+    more than `margin`. A way goes between 8 neighbours; a diagonal passes no corner that is blocked.
     """
     rows, cols = cost.shape
     to_go[:] = np.inf
@@ -145,8 +146,10 @@ def ways_to(
         r, c = at // cols, at % cols
         if done > to_go[r, c]:
             continue
-        if (r == until_row and c == until_col) or done > limit:
+        if done > limit:
             break
+        if r == until_row and c == until_col:
+            limit = min(limit, float(done) + margin)
         for dr in range(-1, 2):
             for dc in range(-1, 2):
                 nr, nc = r + dr, c + dc

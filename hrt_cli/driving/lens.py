@@ -9,14 +9,17 @@ import numpy as np
 from hrt_cli.driving.local import Pose
 from hrt_cli.driving.motion import sample
 from hrt_cli.driving.vehicle import Vehicle
-from hrt_cli.world.camera import Camera, Frame
+from hrt_cli.world.camera import Camera, Frame, Lens
 from hrt_cli.world.site import Site
 
 
-def camera_of(site: Site, seed: int) -> Camera:
+def camera_of(site: Site, vehicle: Vehicle, seed: int) -> Camera:
     """Return a robot's camera, in the weather of the drive of a seed."""
     camera = Camera(site)
-    return camera.changed(weather=camera.weather.jittered(np.random.default_rng([seed, 0xCA])))
+    return camera.changed(
+        lens=Lens(hfov_deg=vehicle.lens_hfov_deg),
+        weather=camera.weather.jittered(np.random.default_rng([seed, 0xCA])),
+    )
 
 
 def look(camera: Camera, site: Site, vehicle: Vehicle, pose: Pose, *, noise_seed: int | None = None) -> Frame:

@@ -13,6 +13,8 @@ _SLOW_RAD = math.radians(70.0)
 """Heading error at which a robot turns on the spot."""
 _FULL_RAD = math.radians(45.0)
 """Heading error at which it turns as fast as it can: where yaw is 1."""
+_ON_THE_SPOT = 0.9
+"""Yaw from which on one that is careful turns on the spot."""
 
 
 @dataclass(frozen=True)
@@ -106,6 +108,16 @@ class Pursuit:
             self._depth_m = known.height_m
         aim = self._carrot.aim(known.east_m, known.south_m)
         return steer_to(known, *aim, pitch=level_pitch(self._vehicle, known, self._depth_m))
+
+
+def careful(vehicle: Vehicle, yaw: float, pitch: float = 0.0) -> Command:
+    """Return the command of one that goes by what it sees, and so by what may not be so.
+
+    A ground vehicle comes to a stand before it turns by 45 degrees: turning on the spot it cannot run into anything.
+    """
+    if vehicle.kind == "auv":
+        return turning(yaw, pitch)
+    return Command(max(-1.0, min(1.0, yaw)), pitch, max(0.0, 1.0 - abs(yaw) / _ON_THE_SPOT))
 
 
 def level_pitch(vehicle: Vehicle, pose: Pose, height_m: float) -> float:

@@ -22,16 +22,17 @@ from hrt_cli.driving.lens import camera_of, look
 from hrt_cli.driving.local import Command, Pose
 from hrt_cli.driving.simulator import Setting
 from hrt_cli.driving.teacher import GroundTeacher
+from hrt_cli.driving.turns import ANGLES
 from hrt_cli.errors import OutputError
 
 LABELS, FRAMES, ABOUT = "labels.csv", "frames", "recording.json"
-EVERY_S = 0.5
+EVERY_S = 0.3
 """Between two frames."""
 _QUALITY = 95
 
 
 class Recorder:
-    """Takes a frame every half second of a drive; `watch` is a `simulator.Watch`.
+    """Takes a frame every 0.3 s of a drive; `watch` is a `simulator.Watch`.
 
     Parameters
     ----------
@@ -44,8 +45,9 @@ class Recorder:
 
     def __init__(self, setting: Setting, teacher: GroundTeacher, folder: Path) -> None:
         self._setting, self._teacher, self._folder = setting, teacher, folder
-        self._camera = camera_of(setting.site, setting.seed)
-        self._rows: list[tuple[str, float, float, float]] = []
+        self._camera = camera_of(setting.site, setting.vehicle, setting.seed)
+        self._swims = setting.vehicle.kind == "auv"
+        self._rows: list[tuple[str, str]] = []
         self._due_s = 0.0
 
     def watch(self, time_s: float, known: Pose, true: Pose, command: Command) -> None:
@@ -53,9 +55,10 @@ class Recorder:
         self._teacher.follow(known)
         if time_s < self._due_s:
             return
-        wanted = self._teacher.steer(true)
-        if wanted is None:
+        advice = self._teacher.advise(true)
+        if advice is None:
             return
+        wanted, costs = advice
         self._due_s = time_s + EVERY_S
         number = len(self._rows)
         seed = 1_000_003 * self._setting.seed + number
@@ -68,16 +71,14 @@ class Recorder:
             (self._folder / name).write_bytes(data.tobytes())
         except OSError as error:
             raise OutputError(f"{self._folder / name}: cannot be written: {error.strerror}") from error
-        self._rows.append((name, wanted.yaw, wanted.pitch, self._teacher.bearing_rad))
+        labels = f"{wanted.yaw:.5f},{wanted.pitch:.5f}" if self._swims else f"{wanted.yaw:.5f}"
+        spaced = " ".join(f"{each:.2f}" for each in costs.tolist())
+        self._rows.append((f"{name},{labels}", f"{math.degrees(self._teacher.bearing_rad):.2f},{spaced}"))
 
     def finish(self, session: str, provenance: Provenance) -> int:
         """Write the labels; return how many frames there are."""
-        swims = self._setting.vehicle.kind == "auv"
-        lines = ["image,yaw,pitch,session,goal_deg" if swims else "image,yaw,session,goal_deg"]
-        for name, yaw, pitch, bearing in self._rows:
-            labels = f"{yaw:.5f},{pitch:.5f}" if swims else f"{yaw:.5f}"
-            lines.append(f"{name},{labels},{session},{math.degrees(bearing):.2f}")
-        text = "\n".join(lines) + "\n"
+        columns = f"image,{'yaw,pitch' if self._swims else 'yaw'},session,goal_deg,turn_costs_s"
+        text = "\n".join([columns, *(f"{seen},{session},{told}" for seen, told in self._rows)]) + "\n"
 
         def check(draft: Path) -> None:
             if draft.read_text(encoding="utf-8") != text:
@@ -97,7 +98,8 @@ class Recorder:
             "session": session,
             "vehicle": self._setting.vehicle.kind,
             "labels": "the expert's steering: yaw 1 is 45 degrees to the right or more, pitch 1 is the steepest climb; "
-            f"goal_deg is the bearing of the course {AHEAD_M:g} m ahead, right positive",
+            f"goal_deg is the bearing of the course {AHEAD_M:g} m ahead, right positive; turn_costs_s is what the way "
+            f"there costs after each of {ANGLES.size} turns from yaw -1 to 1, in seconds beyond the best of them",
             "lens": {"width": lens.width, "height": lens.height, "hfov_deg": lens.hfov_deg},
             "every_s": EVERY_S,
         }

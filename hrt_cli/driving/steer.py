@@ -3,26 +3,29 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hrt_cli.driving.goal import Goal
 from hrt_cli.driving.lens import camera_of, look
-from hrt_cli.driving.local import Command, Pose, turning
+from hrt_cli.driving.local import Command, Pose, careful
 from hrt_cli.driving.simulator import Setting
-from hrt_cli.steering.network import Output
 from hrt_cli.steering.pictures import fitted
-from hrt_cli.steering.predictor import Distributions, Predictor
+from hrt_cli.steering.predictor import Predictor
 
 _EVERY = 2
 """Decisions from one frame to the next: five frames a second."""
 _BESIDE = 2
 """Classes on either side of the best one over which the angle is averaged."""
+_STEADY = 2.0
+"""By so much falls the logarithm of what is thought of an angle, by its distance from the last one that was taken."""
 
 
 class Steer:
     """Steers by a network.
 
     It takes the mean about the best class, not over all: where the way leads left or right of a thing, the mean of
-    both leads into it.
+    both leads into it. And of angles that are about as good it takes the one near the last: to change its mind in front
+    of a thing leads into it, too.
 
     Parameters
     ----------
@@ -34,8 +37,8 @@ class Steer:
 
     def __init__(self, predictor: Predictor, setting: Setting) -> None:
         self._predictor, self._setting = predictor, setting
-        self._camera, self._goal = camera_of(setting.site, setting.seed), Goal(setting.course)
-        self._asked = 0
+        self._camera, self._goal = camera_of(setting.site, setting.vehicle, setting.seed), Goal(setting.course)
+        self._asked, self._yaw = 0, 0.0
         self._last: Command | None = None
 
     @property
@@ -57,15 +60,22 @@ class Steer:
         config = self._predictor.config
         goal = np.array([bearing_rad], np.float32) if config.goal else None
         found = self._predictor.probabilities(fitted(frame.rgb, config)[None], goal)
-        return turning(_angle(found, "yaw"), _angle(found, "pitch") if "pitch" in found else 0.0)
+        self._yaw = best_angle(found["yaw"][0], self._yaw)
+        pitch = best_angle(found["pitch"][0], None) if "pitch" in found else 0.0
+        return careful(self._setting.vehicle, self._yaw, pitch)
 
 
-def _angle(found: Distributions, output: Output) -> float:
-    """Return the mean of the angles about the best class of a distribution."""
-    probability = found[output][0]
-    classes = probability.size
-    smooth = np.convolve(probability, [0.5, 1.0, 0.5], mode="same")
-    best = int(smooth.argmax())
+def best_angle(probability: NDArray[np.float64], last: float | None) -> float:
+    """Return the mean of the angles about the best class of a distribution, the steadier the better.
+
+    Parameters
+    ----------
+    probability : float64 [2M + 1]
+    last : float, optional
+        The angle before; without it all classes are equal.
+    """
+    angles = np.linspace(-1.0, 1.0, probability.size)
+    held = probability if last is None else probability * np.exp(-_STEADY * np.abs(angles - last))
+    best = int(np.convolve(held, [0.5, 1.0, 0.5], mode="same").argmax())
     near = slice(max(best - _BESIDE, 0), best + _BESIDE + 1)
-    angles = np.linspace(-1.0, 1.0, classes)[near]
-    return float((probability[near] * angles).sum() / probability[near].sum())
+    return float((probability[near] * angles[near]).sum() / probability[near].sum())

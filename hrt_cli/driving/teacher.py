@@ -7,6 +7,7 @@ goal depends on what lies about the robot, and that a camera sees.
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hrt_cli.driving.course import Course
 from hrt_cli.driving.expert import MUCH_DEARER, GroundExpert, WaterExpert
@@ -14,6 +15,7 @@ from hrt_cli.driving.field import Cell, is_clear
 from hrt_cli.driving.goal import Goal
 from hrt_cli.driving.local import Command, Pose
 from hrt_cli.driving.simulator import Setting
+from hrt_cli.driving.turns import turn_costs
 from hrt_cli.driving.vehicle import Vehicle
 from hrt_cli.world.site import Site
 
@@ -35,10 +37,11 @@ class GroundTeacher(GroundExpert):
 
     name = "teacher"
     reach_cells = (12, 10, 8, 6, 5, 4, 3, 2, 1)
+    beyond_s = 4.0
 
-    def __init__(self, site: Site, course: Course, vehicle: Vehicle) -> None:
+    def __init__(self, site: Site, course: Course, vehicle: Vehicle, cruise_m_s: float) -> None:
         super().__init__(site, course, vehicle)
-        self._goal = Goal(course)
+        self._goal, self._robot, self._cruise_m_s = Goal(course), vehicle, cruise_m_s
         self.bearing_rad = 0.0
 
     def follow(self, known: Pose) -> None:
@@ -50,6 +53,13 @@ class GroundTeacher(GroundExpert):
         """See `LocalPlanner`."""
         self.follow(known)
         return self.steer(true)
+
+    def advise(self, pose: Pose) -> tuple[Command, NDArray[np.float64]] | None:
+        """Return the command at a true pose and what each turn would cost (`turns.turn_costs`); None: no way on."""
+        command = self.steer(pose)
+        if command is None:
+            return None
+        return command, turn_costs(self._map, self._to_go, self._robot, self._cruise_m_s, pose)
 
     def _has_target(self, pose: Pose, here: Cell) -> bool:
         first, end = self._goal.aim_m, self._course.length_m
@@ -76,4 +86,4 @@ class WaterTeacher(GroundTeacher, WaterExpert):
 def teacher_of(setting: Setting) -> GroundTeacher:
     """Return the teacher for a drive."""
     kind = WaterTeacher if setting.vehicle.kind == "auv" else GroundTeacher
-    return kind(setting.site, setting.course, setting.vehicle)
+    return kind(setting.site, setting.course, setting.vehicle, setting.cruise_m_s)

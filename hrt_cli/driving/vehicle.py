@@ -28,6 +28,8 @@ class Vehicle:
         Of the camera over the ground, or over the AUV's middle.
     lens_pitch_rad : float
         Of the camera in the robot's frame, nose up.
+    lens_hfov_deg : float
+        Its horizontal field of view.
     lookahead_m : float
         How far ahead on its path it aims (pure pursuit: Coulter 1992).
     altitude_m : float
@@ -44,6 +46,7 @@ class Vehicle:
     ramp_m_s2: float
     lens_height_m: float
     lens_pitch_rad: float
+    lens_hfov_deg: float
     lookahead_m: float
     altitude_m: float
     cruise_m_s: float
@@ -58,6 +61,7 @@ UGV = Vehicle(
     ramp_m_s2=1.5,
     lens_height_m=0.8,
     lens_pitch_rad=math.radians(-10.0),
+    lens_hfov_deg=100.0,
     lookahead_m=0.7,
     altitude_m=0.0,
     cruise_m_s=1.0,
@@ -73,6 +77,7 @@ AUV = Vehicle(
     ramp_m_s2=0.4,
     lens_height_m=0.0,
     lens_pitch_rad=math.radians(-35.0),
+    lens_hfov_deg=75.0,
     lookahead_m=1.4,
     altitude_m=0.9,
     cruise_m_s=0.5,

@@ -18,6 +18,8 @@ _LEVELS = np.arange(256, dtype=np.float32) / 255.0
 
 Pictures = NDArray[np.uint8]
 Labels = NDArray[np.float32]
+Shown = tuple[Pictures, Labels, Labels | None, Labels | None]
+"""Pictures, steering, goals and costs of some frames, as `batches.Frames` has them."""
 
 
 @dataclass(frozen=True)
@@ -65,8 +67,13 @@ class Augment:
 
 
 def augment(
-    pictures: Pictures, steering: Labels, goal: Labels | None, strengths: Augment, rng: np.random.Generator
-) -> tuple[Pictures, Labels, Labels | None]:
+    pictures: Pictures,
+    steering: Labels,
+    goal: Labels | None,
+    costs: Labels | None,
+    strengths: Augment,
+    rng: np.random.Generator,
+) -> Shown:
     """Return changed copies of pictures, and labels that fit them; the inputs stay as they are.
 
     Parameters
@@ -76,14 +83,16 @@ def augment(
         Yaw first; pitch stays as it is.
     goal : float32 [n], optional
         Bearings in radians, right positive.
+    costs : float32 [n, turns], optional
+        At evenly spaced yaws from -1 to 1.
     strengths : Augment
     rng : numpy.random.Generator
         All that is random comes from it: the same state gives the same result.
 
     Returns
     -------
-    pictures, steering, goal
-        As they came; yaw clipped to [-1, 1], goals in [-pi, pi].
+    pictures, steering, goal, costs
+        As they came; yaw clipped to [-1, 1], goals in [-pi, pi], costs beyond the ends as at them.
     """
     n, height, width, _ = pictures.shape
     flip = np.asarray(rng.random(n) < strengths.flip)
@@ -108,10 +117,18 @@ def augment(
     sign = np.where(flip, -1.0, 1.0)
     labels = steering.copy()
     labels[:, 0] = np.clip(sign * steering[:, 0] + turn, -1.0, 1.0)
+    changed_costs = None if costs is None else _turned(costs, sign, turn)
     if goal is None:
-        return out, labels, None
+        return out, labels, None, changed_costs
     bearing = sign * goal + turn * YAW_UNIT_RAD
-    return out, labels, np.arctan2(np.sin(bearing), np.cos(bearing)).astype(np.float32)
+    return out, labels, np.arctan2(np.sin(bearing), np.cos(bearing)).astype(np.float32), changed_costs
+
+
+def _turned(costs: Labels, sign: NDArray[np.float64], turn: NDArray[np.float64]) -> Labels:
+    """Return costs mirrored where `sign` is -1, then moved by `turn` along the yaws."""
+    yaw = np.linspace(-1.0, 1.0, costs.shape[1])
+    moved = [np.interp(s * (yaw - t), yaw, each) for each, s, t in zip(costs, sign, turn, strict=True)]
+    return np.array(moved, np.float32).reshape(costs.shape)
 
 
 def _uniform(rng: np.random.Generator, n: int, largest: float) -> NDArray[np.float64]:

@@ -15,7 +15,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from hrt_cli.steering.augment import Augment, augment
+from hrt_cli.steering.augment import Augment, Shown, augment
 from hrt_cli.steering.balance import class_weights, draw_epoch, unexplained
 from hrt_cli.steering.network import SteeringConfig
 from hrt_cli.steering.pictures import prepare
@@ -38,21 +38,24 @@ class Frames:
         In [-1, 1].
     goal : float32 [n] or None
         Bearings in radians.
+    costs : float32 [n, turns] or None
+        In seconds, what turning by each angle costs.
     """
 
     pictures: NDArray[np.uint8]
     rows: NDArray[np.int64]
     steering: NDArray[np.float32]
     goal: NDArray[np.float32] | None
+    costs: NDArray[np.float32] | None = None
 
     def __len__(self) -> int:
         return int(self.rows.size)
 
-    def cut(
-        self, which: NDArray[np.int64]
-    ) -> tuple[NDArray[np.uint8], NDArray[np.float32], NDArray[np.float32] | None]:
-        """Return the pictures, steering and goals of some of the frames."""
-        return self.pictures[self.rows[which]], self.steering[which], None if self.goal is None else self.goal[which]
+    def cut(self, which: NDArray[np.int64]) -> Shown:
+        """Return the pictures, steering, goals and costs of some of the frames."""
+        goal = None if self.goal is None else self.goal[which]
+        costs = None if self.costs is None else self.costs[which]
+        return self.pictures[self.rows[which]], self.steering[which], goal, costs
 
 
 @dataclass(frozen=True)
@@ -62,6 +65,7 @@ class Batch:
     pictures: Tensor
     steering: Tensor
     goal: Tensor | None
+    costs: Tensor | None = None
 
 
 def batch_count(frames: int, batch: int) -> int:
@@ -69,12 +73,12 @@ def batch_count(frames: int, batch: int) -> int:
     return max(1, frames // batch)
 
 
-def ready(
-    pictures: NDArray[np.uint8], steering: NDArray[np.float32], goal: NDArray[np.float32] | None, config: SteeringConfig
-) -> Batch:
-    """Return frames as tensors; `steering` is float32 [n, outputs]."""
+def ready(shown: Shown, config: SteeringConfig) -> Batch:
+    """Return frames as tensors."""
+    pictures, steering, goal, costs = shown
     seen = torch.from_numpy(prepare(pictures, config)).contiguous(memory_format=torch.channels_last)
-    return Batch(seen, torch.from_numpy(steering), None if goal is None else torch.from_numpy(goal))
+    more = (None if each is None else torch.from_numpy(each) for each in (goal, costs))
+    return Batch(seen, torch.from_numpy(steering), *more)
 
 
 def epoch_batches(
@@ -100,7 +104,7 @@ def epoch_batches(
 
     def make(number: int) -> Batch:
         own = np.random.default_rng([seed, _AUGMENT, epoch, number])
-        return ready(*augment(*frames.cut(parts[number]), strengths, own), config)
+        return ready(augment(*frames.cut(parts[number]), strengths, own), config)
 
     with ThreadPoolExecutor(1) as ahead:
         waiting = [ahead.submit(make, number) for number in range(len(parts))[first : first + 1]]

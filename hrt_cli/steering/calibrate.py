@@ -16,17 +16,17 @@ LOWEST, HIGHEST = 0.2, 5.0
 _HALVINGS = 60
 
 
-def fit_temperature(logits: NDArray[np.float64], classes: NDArray[np.int64]) -> float:
+def fit_temperature(logits: NDArray[np.float64], labels: NDArray[np.float64]) -> float:
     """Return the temperature that minimises the negative log-likelihood; 1 where none is better than 1.
 
-    With b = 1 / T the likelihood is convex and its derivative, mean(E_softmax(b z)[z] - z_y), rises with b: its zero
-    is found by bisection in log T.
+    With b = 1 / T the likelihood is convex and its derivative, mean(E_softmax(b z)[z] - E_labels[z]), rises with b: its
+    zero is found by bisection in log T.
 
     Parameters
     ----------
     logits : float64 [n, classes]
-    classes : int64 [n]
-        The true class of each.
+    labels : float64 [n, classes]
+        The true distribution of each: for a true class, all in it.
 
     Returns
     -------
@@ -34,14 +34,14 @@ def fit_temperature(logits: NDArray[np.float64], classes: NDArray[np.int64]) -> 
         In [`LOWEST`, `HIGHEST`].
     """
     low, high = math.log(LOWEST), math.log(HIGHEST)
-    of_truth = np.take_along_axis(logits, classes[:, None], axis=1)[:, 0]
+    of_truth = (labels * logits).sum(axis=1)
     for _ in range(_HALVINGS):
         middle = 0.5 * (low + high)
         expected = (softmax(logits / math.exp(middle)) * logits).sum(axis=1)
         # A positive derivative in b asks for a smaller b, which is a larger T.
         low, high = (middle, high) if float((expected - of_truth).mean()) > 0.0 else (low, middle)
     found = math.exp(0.5 * (low + high))
-    better = negative_log_likelihood(logits / found, classes) < negative_log_likelihood(logits, classes)
+    better = negative_log_likelihood(logits / found, labels) < negative_log_likelihood(logits, labels)
     return found if better else 1.0
 
 
@@ -50,9 +50,9 @@ def softmax(logits: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.asarray(np.exp(_log_softmax(logits)))
 
 
-def negative_log_likelihood(logits: NDArray[np.float64], classes: NDArray[np.int64]) -> float:
-    """Return the mean of -log softmax(z)_y, in nats."""
-    return float(-np.take_along_axis(_log_softmax(logits), classes[:, None], axis=1).mean())
+def negative_log_likelihood(logits: NDArray[np.float64], labels: NDArray[np.float64]) -> float:
+    """Return the mean of -sum_j labels_j log softmax(z)_j, in nats."""
+    return float(-(labels * _log_softmax(logits)).sum(axis=1).mean())
 
 
 def _log_softmax(logits: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -107,6 +107,9 @@ def _check_alike(found: Samples, apart: Samples, goal: bool) -> None:
         raise InputError(where, f"has {', '.join(apart.outputs)}; the training data have {', '.join(found.outputs)}")
     if goal and apart.goal is None:
         raise InputError(where, "does not say where to go, and the training data do", "use --no-goal")
+    turns = [0 if each.turn_costs_s is None else each.turn_costs_s.shape[1] for each in (apart, found)]
+    if goal and turns[0] != turns[1]:
+        raise InputError(where, f"has {turns[0]} turn_costs_s a row, and the training data {turns[1]}")
     both = {path.resolve() for path in apart.files} & {path.resolve() for path in found.files}
     if both:
         raise InputError(sorted(both)[0], "is both trained on and held out")
@@ -114,4 +117,5 @@ def _check_alike(found: Samples, apart: Samples, goal: bool) -> None:
 
 def _frames(samples: Samples, pictures: NDArray[np.uint8], rows: NDArray[np.int64], goal: bool) -> Frames:
     told = samples.goal[rows] if goal and samples.goal is not None else None
-    return Frames(pictures, rows, samples.steering[rows], told)
+    costs = samples.turn_costs_s[rows] if goal and samples.turn_costs_s is not None else None
+    return Frames(pictures, rows, samples.steering[rows], told, costs)

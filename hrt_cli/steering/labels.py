@@ -1,8 +1,12 @@
-"""hrt's own recordings: `labels.csv` with the columns image and yaw, and maybe pitch, session and goal_deg."""
+"""hrt's own recordings: `labels.csv` with the columns image and yaw, and maybe others.
+
+Those are pitch, session, goal_deg, and turn_costs_s: an odd number of costs in seconds, with spaces between them.
+"""
 
 from __future__ import annotations
 
 import math
+from collections import Counter
 from pathlib import Path
 
 from hrt_cli.errors import InputError
@@ -19,8 +23,10 @@ from hrt_cli.steering.rows import (
 )
 
 LABELS = "labels.csv"
-_NEEDED, _OPTIONAL = ("image", "yaw"), ("pitch", "session", "goal_deg")
+_NEEDED, _OPTIONAL = ("image", "yaw"), ("pitch", "session", "goal_deg", "turn_costs_s")
 _LONGEST_SESSION = 200
+_FEWEST_TURNS = 3
+_DEAREST_S = 1e6
 
 
 def read_labels(folder: Path) -> Recording:
@@ -36,6 +42,8 @@ def read_labels(folder: Path) -> Recording:
     columns = _columns(file, header)
     outputs: tuple[Output, ...] = ("yaw", "pitch") if "pitch" in columns else ("yaw",)
     recording = Recording((file,), outputs, "goal_deg" in columns)
+    if "turn_costs_s" in columns:
+        recording.turns = _count_turns(lines, columns.index("turn_costs_s"))
     below = Below(folder)
     for line in lines:
         with recording.row(file, line.row):
@@ -75,5 +83,23 @@ def _frame(line: Line, columns: list[str], recording: Recording, below: Below) -
         if abs(goal_deg) > 180.0:
             raise MalformedRowError(f"goal_deg is {goal_deg:g}, outside [-180, 180]")
         goal_rad = math.radians(goal_deg)
+    costs = _costs(values["turn_costs_s"], recording.turns) if recording.turns else None
     path, real = below.find(values["image"])
-    return Frame(path, real, steering, session, line.number, recording.files[0], line.row, goal_rad)
+    return Frame(path, real, steering, session, line.number, recording.files[0], line.row, goal_rad, costs)
+
+
+def _count_turns(lines: list[Line], column: int) -> int:
+    """Return how many costs most rows have."""
+    counts = Counter(len(line.text.split(",")[column].split()) for line in lines if line.text.count(",") >= column)
+    return counts.most_common(1)[0][0] if counts else 0
+
+
+def _costs(text: str, turns: int) -> tuple[float, ...]:
+    costs = tuple(real_number("turn_costs_s", each) for each in text.split())
+    if len(costs) != turns or turns < _FEWEST_TURNS or turns % 2 == 0:
+        raise MalformedRowError(
+            f"turn_costs_s has {len(costs)} costs, and must have an odd number, in each row as many"
+        )
+    if min(costs) < 0.0 or max(costs) > _DEAREST_S:
+        raise MalformedRowError(f"turn_costs_s has a cost outside [0, {_DEAREST_S:g}]")
+    return costs

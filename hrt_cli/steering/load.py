@@ -70,8 +70,8 @@ def load_pictures(
         RGB. In a file without a name in the folder for temporary files where it is larger than 1 GiB, so that memory
         stays free; the file goes when the process does, however it ends.
     digest : str
-        SHA-256 over name below its label file's folder, labels, goal, session and moment of every frame and the bytes
-        of its picture: the same wherever the folders lie.
+        SHA-256 over name below its label file's folder, labels, goal, session, moment and costs of every frame and the
+        bytes of its picture: the same wherever the folders lie.
 
     Raises
     ------
@@ -169,6 +169,7 @@ def _digest(samples: Samples, seen: list[_Seen]) -> str:
             None if samples.goal is None else float(samples.goal[index]),
             int(samples.session[index]),
             None if samples.moment is None else int(samples.moment[index]),
+            None if samples.turn_costs_s is None else samples.turn_costs_s[index].tolist(),
             each.sha256,
         ]
         digest.update(json.dumps(row).encode() + b"\n")

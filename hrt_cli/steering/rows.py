@@ -43,6 +43,8 @@ class Frame:
         Where its labels stand.
     goal_rad : float, optional
         Bearing of the goal, right positive.
+    turn_costs_s : tuple of floats, optional
+        What turning by each of as many evenly spaced angles from -1 to 1 costs.
     """
 
     path: Path
@@ -53,6 +55,7 @@ class Frame:
     file: Path
     row: str
     goal_rad: float | None = None
+    turn_costs_s: tuple[float, ...] | None = None
 
 
 class Recording:
@@ -64,6 +67,8 @@ class Recording:
         The label files.
     outputs : ('yaw',) or ('yaw', 'pitch')
     has_goal : bool
+    turns : int
+        How many angles the costs of turning are known for; 0 where they are not.
     frames : list of Frame
         In the order in which they were taken.
     malformed : list of (Path, str)
@@ -72,6 +77,7 @@ class Recording:
 
     def __init__(self, files: tuple[Path, ...], outputs: tuple[Output, ...] = ("yaw",), has_goal: bool = False) -> None:
         self.files, self.outputs, self.has_goal = files, outputs, has_goal
+        self.turns = 0
         self.frames: list[Frame] = []
         self.malformed: list[tuple[Path, str]] = []
 

@@ -44,6 +44,8 @@ class Samples:
         Unique names.
     goal : float32 [n], optional
         Bearings in radians, right positive; all frames have one, or none.
+    turn_costs_s : float32 [n, turns], optional
+        What turning by each of `turns` angles from -1 to 1 costs; all frames have them, or none.
     skipped : int
         Frames left out because their row or picture is damaged.
     files : tuple of Path
@@ -62,6 +64,7 @@ class Samples:
     skipped: int
     files: tuple[Path, ...]
     moment: NDArray[np.int32] | None = None
+    turn_costs_s: NDArray[np.float32] | None = None
 
     def take(self, index: ArrayLike) -> Samples:
         """Return the frames at `index` (integers, or bool [n]), in that order."""
@@ -73,6 +76,7 @@ class Samples:
             session=self.session[chosen],
             goal=None if self.goal is None else self.goal[chosen],
             moment=None if self.moment is None else self.moment[chosen],
+            turn_costs_s=None if self.turn_costs_s is None else self.turn_costs_s[chosen],
         )
 
 
@@ -216,6 +220,9 @@ def _check_alike(recordings: list[Recording]) -> None:
         if other.has_goal != first.has_goal:
             has, lacks = (first, other) if first.has_goal else (other, first)
             raise InputError(lacks.files[0], f"has no goal_deg, and {has.files[0]} has: they cannot be learnt together")
+        if other.turns != first.turns:
+            problem = f"has {other.turns} turn_costs_s a row, and {first.files[0]} {first.turns}"
+            raise InputError(other.files[0], f"{problem}: they cannot be learnt together")
 
 
 def _check_apart(recordings: list[Recording]) -> None:
@@ -253,6 +260,7 @@ def _gathered(read: list[tuple[str, Recording]], skipped: int) -> Samples:
         skipped=skipped,
         files=tuple(file for _, recording in read for file in recording.files),
         moment=np.array([frame.moment for frame in frames], np.int32),
+        turn_costs_s=np.array([frame.turn_costs_s for frame in frames], np.float32) if read[0][1].turns else None,
     )
 
 

@@ -14,7 +14,7 @@ from torch import Tensor
 
 from hrt_cli.errors import ArgumentError
 from hrt_cli.progress import Progress, silent
-from hrt_cli.steering.angles import expected_angle, nearest_class, smoothed_labels
+from hrt_cli.steering.angles import expected_angle
 from hrt_cli.steering.augment import Augment
 from hrt_cli.steering.batches import Batch, Frames, batch_count, dropout_seed, epoch_batches, ready
 from hrt_cli.steering.calibrate import fit_temperature, softmax
@@ -24,6 +24,7 @@ from hrt_cli.steering.precision import Arithmetic
 from hrt_cli.steering.signals import undivided
 from hrt_cli.steering.split import By
 from hrt_cli.steering.state import Course, Epoch
+from hrt_cli.steering.targets import targets
 
 _AT_ONCE = 128
 """Frames in a forward pass that only measures."""
@@ -38,6 +39,8 @@ class SteerSpec:
     ----------
     sigma : float
         Of the smoothed labels, in the unit of the angles; 0 is one class each.
+    cost_scale_s : float
+        Where the frames know what turning costs, of the labels made of that (`targets.cost_labels`); 0 makes none.
     entropy_weight, dropout_weight : float
         lambda2 and lambda1 of the loss.
     length_scale : float
@@ -70,6 +73,7 @@ class SteerSpec:
     """
 
     sigma: float = 0.08
+    cost_scale_s: float = 0.12
     entropy_weight: float = 0.05
     dropout_weight: float = 1.0
     length_scale: float = 1e-2
@@ -196,10 +200,8 @@ class Trainer:
             group["lr"] = rate
         torch.manual_seed(dropout_seed(spec.seed, course.epoch, course.batch))
         half = net.config.half_classes
-        labels: dict[Output, Tensor] = {
-            name: smoothed_labels(batch.steering[:, i], half, spec.sigma).to(device)
-            for i, name in enumerate(net.config.outputs)
-        }
+        wanted = targets(net.config.outputs, batch.steering, batch.costs, half, spec.sigma, spec.cost_scale_s)
+        labels = {name: each.to(device) for name, each in wanted.items()}
         net.train()
         with torch.autocast(device, torch.bfloat16, enabled=self._arithmetic.bf16):
             logits = net(batch.pictures.to(device), None if batch.goal is None else batch.goal.to(device))
@@ -227,13 +229,14 @@ class Trainer:
         half = net.config.half_classes
         temperature: dict[Output, float] = {}
         probability: dict[Output, NDArray[np.float64]] = {}
-        labels: dict[Output, Tensor] = {}
-        for i, (name, values) in enumerate(logits.items()):
+        costs = None if self._validation.costs is None else torch.from_numpy(self._validation.costs)
+        labels = targets(net.config.outputs, steering, costs, half, spec.sigma, spec.cost_scale_s)
+        certain = targets(net.config.outputs, steering, costs, half, 0.0, spec.cost_scale_s)
+        for name, values in logits.items():
             if not np.isfinite(values).all():
                 raise self._diverged()
-            temperature[name] = fit_temperature(values, nearest_class(steering[:, i], half).numpy())
+            temperature[name] = fit_temperature(values, certain[name].double().numpy())
             probability[name] = softmax(values / temperature[name])
-            labels[name] = smoothed_labels(steering[:, i], half, spec.sigma)
         loss = total_loss(
             {name: torch.from_numpy(values) for name, values in logits.items()}, labels, spec.entropy_weight
         )
@@ -268,8 +271,7 @@ class Trainer:
         net, device = self.net.eval(), self._arithmetic.device
         found: dict[Output, list[Tensor]] = {name: [] for name in net.config.outputs}
         for start in range(0, len(frames), _AT_ONCE):
-            cut = frames.cut(np.arange(start, min(start + _AT_ONCE, len(frames))))
-            batch = ready(*cut, net.config)
+            batch = ready(frames.cut(np.arange(start, min(start + _AT_ONCE, len(frames)))), net.config)
             logits = net(batch.pictures.to(device), None if batch.goal is None else batch.goal.to(device))
             for name, values in logits.items():
                 found[name].append(values.double().cpu())

@@ -29,7 +29,7 @@ def random_cost(seed: int, rows: int, cols: int, blocked: float) -> NDArray[np.f
 
 def ways(cost: NDArray[np.float32], to: tuple[int, int], until=(-1, -1), limit=math.inf) -> NDArray[np.float32]:
     out = np.empty_like(cost)
-    ways_to(cost, CELL_M, *to, *until, limit, out)
+    ways_to(cost, CELL_M, *to, *until, limit, 0.0, out)
     return out
 
 
@@ -94,9 +94,9 @@ def test_following_leads_down_to_the_place(seed: int, blocked: float) -> None:
 def test_the_search_ends_at_what_was_asked_for_and_at_its_limit() -> None:
     cost = np.ones((1, 50), np.float32)
     to_go = np.empty_like(cost)
-    assert ways_to(cost, CELL_M, 0, 0, 0, 10, math.inf, to_go) == pytest.approx(2.0, rel=1e-5)
+    assert ways_to(cost, CELL_M, 0, 0, 0, 10, math.inf, 0.0, to_go) == pytest.approx(2.0, rel=1e-5)
     assert np.isinf(to_go[0, 12:]).all()
-    assert math.isinf(ways_to(cost, CELL_M, 0, 0, 0, 49, 3.0, to_go))
+    assert math.isinf(ways_to(cost, CELL_M, 0, 0, 0, 49, 3.0, 0.0, to_go))
     assert np.isfinite(to_go[0, :15]).all()
 
 
@@ -104,7 +104,7 @@ def test_a_robot_on_blocked_ground_finds_out_of_it() -> None:
     cost = np.ones((9, 9), np.float32)
     cost[4, 4] = np.inf
     to_go = np.empty_like(cost)
-    assert math.isfinite(ways_to(cost, CELL_M, 0, 4, 4, 4, math.inf, to_go))
+    assert math.isfinite(ways_to(cost, CELL_M, 0, 4, 4, 4, math.inf, 0.0, to_go))
     assert follow(to_go, cost, 4, 4, 1) != (4, 4)
 
 

@@ -66,7 +66,7 @@ def test_frames_and_labels_of_a_ground_robot(world: Path, plan: Path, tmp_path: 
     found = drive(plan, world, folder, local=local, seed=3)
     assert found.end == "arrived"
     rows = labels(folder)
-    assert list(rows[0]) == ["image", "yaw", "session", "goal_deg"]
+    assert list(rows[0]) == ["image", "yaw", "session", "goal_deg", "turn_costs_s"]
     assert len(rows) == pytest.approx(found.duration_s / EVERY_S, abs=2)
     assert [row["image"] for row in rows] == [f"{FRAMES}/{k:06d}.jpg" for k in range(len(rows))]
     assert sorted(p.name for p in (folder / FRAMES).iterdir()) == [f"{k:06d}.jpg" for k in range(len(rows))]
@@ -74,6 +74,11 @@ def test_frames_and_labels_of_a_ground_robot(world: Path, plan: Path, tmp_path: 
     yaw = np.array([float(row["yaw"]) for row in rows])
     assert (np.abs(yaw) <= 1).all()
     assert yaw.max() > 0.5, "it turns right once"
+    costs = np.array([[float(each) for each in row["turn_costs_s"].split()] for row in rows])
+    assert costs.shape == (len(rows), 15)
+    assert (costs.min(axis=1) == 0).all()
+    best = np.linspace(-1, 1, 15)[costs.argmin(axis=1)]
+    assert np.abs(best - yaw).mean() < 0.35, "what costs least is about what the expert does"
     about = json.loads((folder / ABOUT).read_text())
     assert (about["format"], about["frames"], about["vehicle"]) == ("hrt-recording", len(rows), "ugv")
     assert json_provenance(folder / ABOUT) is not None
@@ -89,7 +94,7 @@ def test_frames_and_labels_of_a_ground_robot(world: Path, plan: Path, tmp_path: 
 def test_a_divers_labels_have_a_pitch(reef: Path, plan: Path, tmp_path: Path) -> None:
     drive(plan, reef, tmp_path / "rec", local="expert")
     rows = labels(tmp_path / "rec")
-    assert list(rows[0]) == ["image", "yaw", "pitch", "session", "goal_deg"]
+    assert list(rows[0]) == ["image", "yaw", "pitch", "session", "goal_deg", "turn_costs_s"]
     pitch = np.array([float(row["pitch"]) for row in rows])
     assert (np.abs(pitch) <= 1).all()
     assert pitch.max() > 0.1, "the bottom rises"
@@ -126,7 +131,7 @@ def test_labels_are_the_experts_whoever_drives(tmp_path: Path, off_deg: float, s
     assert found.end == "out of time"
     assert abs(seen[-1][0] - 8.0) > 1.5
     assert {command.yaw for _, command in seen} == {0.0}
-    yaw = [row[1] for row in recorder._rows]
+    yaw = [float(seen.split(",")[1]) for seen, _ in recorder._rows]
     assert len(yaw) >= 14
     assert all(side * each > 0.15 for each in yaw[2:])
 

@@ -107,7 +107,7 @@ def test_pushes_are_by_the_seed_and_can_be_seen(world: Path, tmp_path: Path) -> 
         heading = np.unwrap(np.radians(read_drive_log(path).heading_deg))
         return float(np.abs(np.diff(heading)).sum() / len(heading))
 
-    assert turning(one) > 1.5 * turning(plain)
+    assert turning(one) > 1.25 * turning(plain)
     found = drive_provenance(one)
     assert found is not None
     assert found.parameters["disturb"] == 0.5
@@ -123,7 +123,7 @@ def test_a_recording_of_a_roaming_robot_says_where_it_had_to_go(tmp_path: Path) 
     folder = tmp_path / "frames"
     roam(world, tmp_path / "d.jsonl", "--disturb", 0.4, "--record", folder, "--seed", 5)
     rows = rows_of(folder)
-    assert list(rows[0]) == ["image", "yaw", "session", "goal_deg"]
+    assert list(rows[0]) == ["image", "yaw", "session", "goal_deg", "turn_costs_s"]
     assert len(rows) == len(list((folder / "frames").iterdir())) > 15
     assert {row["session"] for row in rows} == {"d-5"}
     goal = np.array([float(row["goal_deg"]) for row in rows])

@@ -99,8 +99,8 @@ def test_it_takes_the_mean_about_the_best_class(distribution: NDArray[np.float64
 
 def test_it_drives_slower_in_turns() -> None:
     speeds = {k: decided(Model(yaw=peaks(**{f"k{k}".replace("-", "_"): 1.0}))).speed for k in (-7, -3, 0, 3, 7)}
-    # On the spot at 70 degrees; yaw 1 is 45 degrees.
-    assert speeds == pytest.approx({k: 1.0 - abs(k) / 7 * 45.0 / 70.0 for k in speeds})
+    # It turns on the spot from yaw 0.9 on.
+    assert speeds == pytest.approx({k: max(0.0, 1.0 - abs(k) / 7 / 0.9) for k in speeds})
 
 
 def test_pitch_is_told_only_by_a_model_that_has_one() -> None:
@@ -156,7 +156,7 @@ def test_it_sees_what_the_camera_sees_where_the_robot_is() -> None:
     assert left[0] > left[2] + 50
     assert right[2] > right[0] + 50
     assert not np.array_equal(first, second), "noise of its own in each frame"
-    bare = look(camera_of(site, there.seed), site, UGV, MIDDLE).rgb
+    bare = look(camera_of(site, UGV, there.seed), site, UGV, MIDDLE).rgb
     assert np.abs(first.astype(int) - fitted(bare, model.config)).mean() < 4, "in the weather of the drive's seed"
 
 

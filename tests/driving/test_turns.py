@@ -1,0 +1,73 @@
+"""What each turn would cost."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from hrt_cli.driving.field import CostMap, ways_to
+from hrt_cli.driving.local import Pose
+from hrt_cli.driving.turns import ANGLES, WORST_S, turn_costs
+from hrt_cli.driving.vehicle import UGV
+
+CELL_M, SIDE = 0.2, 60  # 12 m
+GOAL = (6.1, 2.1)
+
+
+def costs_from(
+    east: float,
+    south: float,
+    heading_deg: float,
+    blocked: NDArray[np.bool_] | None = None,
+    goal: tuple[float, float] = GOAL,
+) -> NDArray[np.float64]:
+    cost = np.ones((SIDE, SIDE), np.float32)
+    if blocked is not None:
+        cost[blocked] = np.inf
+    made, to_go = CostMap(cost, CELL_M), np.empty_like(cost)
+    here = made.cell(east, south)
+    assert math.isfinite(ways_to(cost, CELL_M, *made.cell(*goal), *here, 99.0, 4.0, to_go)) or blocked is not None
+    return turn_costs(made, to_go, UGV, 1.0, Pose(east, south, 0.0, math.radians(heading_deg), 0.0))
+
+
+def test_straight_on_is_best_towards_the_goal_and_both_sides_are_alike() -> None:
+    found = costs_from(6.1, 9.0, 0.0)
+    assert found.shape == (15,)
+    assert found.min() == 0.0
+    assert int(found.argmin()) == 7
+    np.testing.assert_allclose(found, found[::-1], atol=0.15)
+    assert (np.diff(found[7:]) > 0).all(), "the farther off, the dearer"
+
+
+@pytest.mark.parametrize(("heading_deg", "side"), [(-60.0, 1.0), (60.0, -1.0)])
+def test_it_turns_to_the_side_of_the_goal(heading_deg: float, side: float) -> None:
+    found = costs_from(6.1, 9.0, heading_deg)
+    assert side * ANGLES[int(found.argmin())] > 0.4
+    assert found[0 if side > 0 else -1] > 1.0
+
+
+def test_what_leads_into_an_obstacle_is_dear_and_left_is_as_good_as_right() -> None:
+    blocked = np.zeros((SIDE, SIDE), np.bool_)
+    blocked[36:42, 27:34] = True  # 0.6 m ahead, 1.4 m wide
+    found = costs_from(6.1, 9.0, 0.0, blocked)
+    assert found[7] > 4.0
+    assert found[:3].min() < 0.5
+    assert found[-3:].min() < 0.5
+
+
+def test_one_that_stands_where_it_may_not_be_is_led_out_of_there() -> None:
+    blocked = np.zeros((SIDE, SIDE), np.bool_)
+    blocked[:, :31] = True
+    found = costs_from(6.1, 9.0, 0.0, blocked, goal=(9.0, 9.0))
+    assert ANGLES[int(found.argmin())] > 0.2
+    assert found[0] > found[-1]
+
+
+def test_costs_have_a_bound() -> None:
+    blocked = np.ones((SIDE, SIDE), np.bool_)
+    found = costs_from(6.1, 9.0, 0.0, blocked)
+    assert np.isfinite(found).all()
+    assert found.max() <= WORST_S

@@ -1,0 +1,42 @@
+"""The convolution as a product of matrices, beside PyTorch's own."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+from torch import nn
+
+from hrt_cli.steering.gemm import Conv3x3
+
+
+@pytest.mark.parametrize("stride", [1, 2])
+@pytest.mark.parametrize(("height", "width"), [(3, 5), (2, 2), (1, 1), (4, 7)])
+def test_values_and_gradients_are_pytorchs(stride: int, height: int, width: int) -> None:
+    torch.manual_seed(0)
+    conv = Conv3x3(8, 512, stride).train()
+    x = torch.randn(3, 8, height, width, requires_grad=True)
+    made = conv(x)
+    assert "Product" in type(made.grad_fn).__name__
+    right = nn.functional.conv2d(x, conv.weight, stride=stride, padding=1)
+    torch.testing.assert_close(made, right, atol=1e-5, rtol=1e-5)
+    grad = torch.randn_like(right)
+    for found, wanted in zip(
+        torch.autograd.grad(made, (x, conv.weight), grad),
+        torch.autograd.grad(right, (x, conv.weight), grad),
+        strict=True,
+    ):
+        torch.testing.assert_close(found, wanted, atol=1e-4, rtol=1e-5)
+
+
+@pytest.mark.parametrize(("outputs", "pixels", "training"), [(256, 4, True), (512, 600, True), (512, 4, False)])
+def test_elsewhere_it_is_pytorchs(outputs: int, pixels: int, training: bool) -> None:
+    conv = Conv3x3(4, outputs).train(training)
+    made = conv(torch.randn(1, 4, 1, pixels, requires_grad=True))
+    assert "Product" not in type(made.grad_fn).__name__
+
+
+def test_not_in_half_precision() -> None:
+    conv, x = Conv3x3(4, 512).train(), torch.randn(1, 4, 2, 2)
+    with torch.autocast("cpu", torch.bfloat16):
+        assert conv(x).dtype == torch.bfloat16
+    assert list(conv.state_dict()) == ["weight"]
