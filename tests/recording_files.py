@@ -33,12 +33,14 @@ def put_labels(
     pitches: Sequence[float] | None = None,
     sessions: Sequence[str] | None = None,
     goals_deg: Sequence[float] | None = None,
+    costs_s: Sequence[str] | None = None,
 ) -> Path:
     """A recording of hrt."""
     columns = {"image": [f"frames/{n:06d}.jpg" for n in range(len(yaws))], "yaw": yaws}
     columns |= {"pitch": pitches} if pitches is not None else {}
     columns |= {"session": sessions} if sessions is not None else {}
     columns |= {"goal_deg": goals_deg} if goals_deg is not None else {}
+    columns |= {"turn_costs_s": costs_s} if costs_s is not None else {}
     for number, name in enumerate(columns["image"]):
         put_picture(folder / str(name), seed=number)
     rows = [",".join(columns), *(",".join(map(str, row)) for row in zip(*columns.values(), strict=True))]

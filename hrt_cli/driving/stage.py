@@ -28,7 +28,7 @@ from hrt_cli.progress import Progress, silent
 from hrt_cli.world.site import Site, load_site, site_files
 
 STAGE = "drive"
-STAGE_VERSION = 4
+STAGE_VERSION = 5
 
 LOCAL_PLANNERS = ("pursuit", "expert", "teacher", "steer")
 

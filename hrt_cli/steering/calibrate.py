@@ -15,8 +15,10 @@ LOWEST, HIGHEST = 0.2, 5.0
 """Bounds of T: a handful of frames that all come out right would ask for certainty."""
 _HALVINGS = 60
 
+Truth = NDArray[np.int64] | NDArray[np.float64]
 
-def fit_temperature(logits: NDArray[np.float64], labels: NDArray[np.float64]) -> float:
+
+def fit_temperature(logits: NDArray[np.float64], labels: Truth) -> float:
     """Return the temperature that minimises the negative log-likelihood; 1 where none is better than 1.
 
     With b = 1 / T the likelihood is convex and its derivative, mean(E_softmax(b z)[z] - E_labels[z]), rises with b: its
@@ -25,8 +27,8 @@ def fit_temperature(logits: NDArray[np.float64], labels: NDArray[np.float64]) ->
     Parameters
     ----------
     logits : float64 [n, classes]
-    labels : float64 [n, classes]
-        The true distribution of each: for a true class, all in it.
+    labels : int64 [n] or float64 [n, classes]
+        The true class of each, or the true distribution.
 
     Returns
     -------
@@ -34,6 +36,7 @@ def fit_temperature(logits: NDArray[np.float64], labels: NDArray[np.float64]) ->
         In [`LOWEST`, `HIGHEST`].
     """
     low, high = math.log(LOWEST), math.log(HIGHEST)
+    labels = _distributions(labels, logits.shape[1])
     of_truth = (labels * logits).sum(axis=1)
     for _ in range(_HALVINGS):
         middle = 0.5 * (low + high)
@@ -50,9 +53,15 @@ def softmax(logits: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.asarray(np.exp(_log_softmax(logits)))
 
 
-def negative_log_likelihood(logits: NDArray[np.float64], labels: NDArray[np.float64]) -> float:
-    """Return the mean of -sum_j labels_j log softmax(z)_j, in nats."""
-    return float(-(labels * _log_softmax(logits)).sum(axis=1).mean())
+def negative_log_likelihood(logits: NDArray[np.float64], labels: Truth) -> float:
+    """Return the mean of -sum_j p_j log softmax(z)_j, in nats, p being the labels' distributions."""
+    return float(-(_distributions(labels, logits.shape[1]) * _log_softmax(logits)).sum(axis=1).mean())
+
+
+def _distributions(labels: Truth, classes: int) -> NDArray[np.float64]:
+    if labels.ndim == 2:
+        return np.asarray(labels, np.float64)
+    return np.asarray(labels[:, None] == np.arange(classes), np.float64)
 
 
 def _log_softmax(logits: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -11,8 +11,8 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
-_LEAST_CHANNELS, _MOST_PIXELS = 512, 512
-"""It is used from so many channels up, for so many pixels of a whole batch at most."""
+_LEAST_CHANNELS, _MOST_PIXELS = 512, 4096
+"""It is used from so many channels up, for as many pixels of a whole batch at most: patches take much room."""
 
 
 class Conv3x3(nn.Conv2d):

@@ -31,7 +31,7 @@ from hrt_cli.steering.state import Epoch
 from hrt_cli.steering.train import SteerSpec, Trainer, constant_steering
 
 STAGE = "train-steer"
-STAGE_VERSION = 1
+STAGE_VERSION = 2
 
 
 class Record(Document):

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from world_files import ground_site
 
-from hrt_cli.driving.roam import roam_course
+from hrt_cli.driving.roam import Grounds, Leg, roam_course
 from hrt_cli.driving.vehicle import UGV
 from hrt_cli.errors import ArgumentError
 
@@ -50,6 +50,39 @@ def test_most_legs_lead_across_what_has_to_be_gone_round_and_none_off_the_survey
         assert seen[rows, cols].all()
         blocked += bool((site.clearance_m[rows, cols] < UGV.radius_m + 0.25).any())
     assert 0.6 < blocked / (len(points) - 1) <= 1.0
+
+
+def boxed(*boxes: tuple[int, int, int, int]) -> Grounds:
+    obstacle = np.zeros((SIDE, SIDE), np.bool_)
+    for top, left, bottom, right in boxes:
+        obstacle[top:bottom, left:right] = True
+    return Grounds(ground_site(obstacle), UGV)
+
+
+def test_legs_lead_only_across_what_can_be_gone_round_close_by() -> None:
+    start, end = np.array([10.0, 15.0]), np.array([20.0, 15.0])
+    assert boxed().leg(start, end) is Leg.CLEAR
+    assert boxed((145, 145, 155, 155)).leg(start, end) is Leg.ROUND
+    # Too wide along the leg, a wall across it, a place to end that is none.
+    assert boxed((145, 130, 155, 160)).leg(start, end) is Leg.NO
+    assert boxed((60, 148, 240, 152)).leg(start, end) is Leg.NO
+    assert boxed((145, 195, 155, 205)).leg(start, end) is Leg.NO
+    # A wall with its end a little off: gone round there.
+    assert boxed((60, 148, 155, 152)).leg(start, end) is Leg.ROUND
+
+
+def test_no_leg_comes_near_the_rim() -> None:
+    grounds = boxed()
+    assert grounds.leg(np.array([3.0, 15.0]), np.array([27.0, 15.0])) is Leg.CLEAR
+    assert grounds.leg(np.array([3.0, 15.0]), np.array([28.5, 15.0])) is Leg.NO
+    assert grounds.places.min() > 2.0
+
+
+def test_a_site_that_leads_nowhere_is_refused() -> None:
+    obstacle = np.ones((SIDE, SIDE), np.bool_)
+    obstacle[140:160, 140:160] = False
+    with pytest.raises(ArgumentError, match="no room to roam for 50 m"):
+        roam_course(ground_site(obstacle), UGV, 50.0, 0)
 
 
 def test_seeds_differ_and_repeat() -> None:

@@ -22,7 +22,7 @@ from hrt_cli.driving.lens import camera_of, look
 from hrt_cli.driving.local import Command, Pose
 from hrt_cli.driving.simulator import Setting, first_heading, simulate
 from hrt_cli.driving.stage import DriveRequest, drive_file, local_planner
-from hrt_cli.driving.steer import Steer
+from hrt_cli.driving.steer import Steer, best_angle
 from hrt_cli.driving.vehicle import AUV, UGV
 from hrt_cli.errors import ArgumentError, InputError
 from hrt_cli.steering import network
@@ -95,6 +95,14 @@ def decided(model: Model, pose: Pose = MIDDLE, **more: object) -> Command:
 )
 def test_it_takes_the_mean_about_the_best_class(distribution: NDArray[np.float64], yaw: float) -> None:
     assert decided(Model(yaw=distribution)).yaw == pytest.approx(yaw)
+
+
+def test_it_stays_with_the_side_that_it_took() -> None:
+    both = peaks(k_5=0.5, k5=0.45)
+    assert best_angle(both, None) == pytest.approx(-5 / 7)
+    assert best_angle(both, 0.0) == pytest.approx(-5 / 7)
+    assert best_angle(both, 0.6) == pytest.approx(5 / 7)
+    assert best_angle(peaks(k_5=0.97, k5=0.03), 0.6) == pytest.approx(-5 / 7), "but not against all reason"
 
 
 def test_it_drives_slower_in_turns() -> None:

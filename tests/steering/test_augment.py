@@ -171,6 +171,26 @@ def test_white_and_black_do_not_wrap() -> None:
     assert made[:20].max() < 128 < made[20:].min()
 
 
+def test_costs_follow_flips_and_shifts() -> None:
+    pictures, steering = np.zeros((40, 8, 32, 3), np.uint8), np.zeros((40, 1), np.float32)
+    yaw = np.linspace(-1, 1, 15)
+    costs = np.tile((2.0 * np.abs(yaw - 0.2)).astype(np.float32), (40, 1))
+    strengths = dataclasses.replace(NONE, flip=0.5, shift=0.1)
+    _, labels, _, found = augment(pictures, steering, None, costs, strengths, np.random.default_rng(2))
+    assert found is not None
+    assert (found.shape, found.dtype) == (costs.shape, np.float32)
+    flipped = 0
+    for turn, each in zip(labels[:, 0], found, strict=True):
+        fits = [
+            np.allclose(each[2:-2], np.interp(sign * (yaw - turn), yaw, costs[0])[2:-2], atol=1e-5) for sign in (1, -1)
+        ]
+        assert any(fits)
+        flipped += fits[1] and not fits[0]
+    assert 10 < flipped < 30
+    best = [yaw[int(each.argmin())] for each in found]
+    assert np.abs(np.abs(np.array(best) - labels[:, 0]) - 0.2).max() < 0.1, "the best turn moves as the label does"
+
+
 @given(st.integers(0, 2**32 - 1))
 def test_the_state_of_the_generator_is_all(seed: int) -> None:
     rng = np.random.default_rng(seed)

@@ -106,7 +106,7 @@ def test_the_next_batch_is_made_while_one_is_in_use(monkeypatch: pytest.MonkeyPa
 
     def count(*args: object) -> object:
         made.append(threading.get_ident())
-        return args[:3]
+        return args[:4]
 
     monkeypatch.setattr(batches, "augment", count)
     running = epoch_batches(

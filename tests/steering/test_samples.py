@@ -224,6 +224,46 @@ class TestFolders:
         assert read_samples([tmp_path]).steering.tolist() == [[0.0], [0.5], [-0.5]]
 
 
+class TestTurnCosts:
+    def test_read(self, tmp_path: Path) -> None:
+        put_labels(tmp_path, [0, 0.5], goals_deg=[1, 2], costs_s=["0.50 0 2", "1e1 0.25 0.00"])
+        samples = read_samples([tmp_path])
+        assert samples.turn_costs_s is not None
+        assert samples.turn_costs_s.tolist() == [[0.5, 0.0, 2.0], [10.0, 0.25, 0.0]]
+        taken = samples.take([1]).turn_costs_s
+        assert taken is not None
+        assert taken.tolist() == [[10.0, 0.25, 0.0]]
+
+    @pytest.mark.parametrize(
+        ("cell", "problem"),
+        [
+            ("0 1", "line 3: turn_costs_s has 2 costs, and must have an odd number, in each row as many"),
+            ("0 1 2 3 4", "line 3: turn_costs_s has 5 costs"),
+            ("", "line 3: turn_costs_s has 0 costs"),
+            ("0 nan 1", "line 3: turn_costs_s is 'nan', not a finite number"),
+            ("0 -1 1", "line 3: turn_costs_s has a cost outside"),
+            ("0 2e6 1", "line 3: turn_costs_s has a cost outside"),
+        ],
+    )
+    def test_malformed(self, cell: str, problem: str, tmp_path: Path) -> None:
+        put_labels(tmp_path, [0, 0.5, 0.1], goals_deg=[1, 2, 3], costs_s=["0 1 2", cell, "2 1 0"])
+        with pytest.raises(InputError, match=problem):
+            read_samples([tmp_path])
+        assert len(read_samples([tmp_path], skip_bad=True).paths) == 2
+
+    def test_an_even_number_in_every_row(self, tmp_path: Path) -> None:
+        put_labels(tmp_path, [0, 0.5], goals_deg=[1, 2], costs_s=["0 1 2 3"] * 2)
+        with pytest.raises(InputError, match="has 4 costs, and must have an odd number"):
+            read_samples([tmp_path])
+
+    @pytest.mark.parametrize("other", [None, ["0 1 2 3 4"]])
+    def test_not_alike(self, other: list[str] | None, tmp_path: Path) -> None:
+        put_labels(tmp_path / "a", [0], goals_deg=[1], costs_s=["0 1 2"])
+        put_labels(tmp_path / "b", [0], goals_deg=[1], costs_s=other)
+        with pytest.raises(InputError, match=r"turn_costs_s a row, and .* 3: they cannot be learnt together"):
+            read_samples([tmp_path / "a", tmp_path / "b"])
+
+
 class TestSamples:
     @given(st.lists(st.integers(0, 4), max_size=8))
     def test_take(self, index: list[int]) -> None:
