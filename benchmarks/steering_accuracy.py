@@ -38,6 +38,8 @@ RATIOS = {
     "MAE, Gaussian / hard": ("MAE", "hrt, Gaussian labels", "hrt, hard labels"),
     "NLL, Gaussian / hard": ("NLL", "hrt, Gaussian labels", "hrt, hard labels"),
     "ECE, Gaussian / hard": ("ECE", "hrt, Gaussian labels", "hrt, hard labels"),
+    "NLL, Gaussian / hard, last epochs": ("NLL", "hrt, Gaussian labels, last", "hrt, hard labels, last"),
+    "ECE, Gaussian / hard, last epochs": ("ECE", "hrt, Gaussian labels, last", "hrt, hard labels, last"),
 }
 _AT_ONCE = 32
 _LEAST = 1e-300
@@ -152,7 +154,8 @@ def accuracy(study: Study, data: Path, out: Path | None, machine: Row) -> list[T
         "likeliest: as Donkeycar decodes it",
         "NLL and ECE over the same 15 angles; T: after temperature, fitted on one half of the held-out frames and "
         "measured on the other, in turn",
-        "constant: the median of the training labels; epochs: in all, of which the best is kept",
+        "constant: the median of the training labels; epochs: in all, of which the best is kept; last: what it would "
+        "have been without early stopping",
         "linear, augmented: Donkeycar's network with hrt's augmentation; Donkeycar's own default is none",
     ]
     return [Table("accuracy", rows, notes), *summaries(rows, study.seeds)]
@@ -212,23 +215,24 @@ def _work(method: str, study: Study, seed: int, own: Recorded, theirs: Recorded,
 
 
 def train_ours(method: str, config: SteeringConfig, spec: SteerSpec, training: Frames, validation: Frames) -> Row:
-    """Train as `hrt train-steer` does; measure the best epoch at temperature 1 and after."""
+    """Train as `hrt train-steer` does; measure the best epoch and the last one, at temperature 1 and after."""
     arithmetic = choose("auto")
     with repeatable(arithmetic, spec.threads):
         torch.manual_seed(spec.seed)
         trainer = Trainer(SteeringNet(config), training, validation, spec, arithmetic)
         trainer.run()
-        best = SteeringNet(config)
-        best.load_state_dict(trainer.course.best)
-        predictor = TorchPredictor(best)
-        pictures = validation.pictures[validation.rows]
-        probability = np.concatenate([
-            predictor.probabilities(pictures[first : first + _AT_ONCE])["yaw"]
-            for first in range(0, len(pictures), _AT_ONCE)
-        ])  # fmt: skip
-    course = trainer.course
-    row = distribution_row(method, probability, validation.steering[:, 0])
-    return {"rows": [row], "epochs": course.epoch, "best_epoch": course.best_epoch}
+        course, rows = trainer.course, []
+        pictures, label = validation.pictures[validation.rows], validation.steering[:, 0]
+        for name, weights in ((method, course.best), (f"{method}, last", trainer.net.state_dict())):
+            net = SteeringNet(config)
+            net.load_state_dict(weights)
+            predictor = TorchPredictor(net)
+            probability = np.concatenate([
+                predictor.probabilities(pictures[first : first + _AT_ONCE])["yaw"]
+                for first in range(0, len(pictures), _AT_ONCE)
+            ])  # fmt: skip
+            rows.append(distribution_row(name, probability, label))
+    return {"rows": rows, "epochs": course.epoch, "best_epoch": course.best_epoch}
 
 
 def train_theirs(method: str, kind: str, training: donkeycar.Driven, validation: donkeycar.Driven, seed: int,

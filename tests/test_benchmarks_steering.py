@@ -270,12 +270,13 @@ def test_each_method_gets_what_its_name_says(tmp_path: Path, monkeypatch: pytest
 
 
 def test_ratios_pair_the_seeds() -> None:
+    last = [f"{method}, last" for method in accuracy.OURS]
     rows = [
         {"seed": seed, "method": method, **dict.fromkeys(accuracy.COLUMNS, value * (seed + 1)), "NLL": value + seed}
         for seed in (0, 1)
-        for method, value in zip(accuracy.METHODS, (1.0, 2.0, 4.0, 5.0, 8.0, 16.0), strict=True)
+        for method, value in zip([*accuracy.METHODS, *last], (1.0, 2.0, 4.0, 5.0, 8.0, 16.0, 3.0, 9.0), strict=True)
     ]
-    rows[-1]["NLL"] = rows[5]["NLL"] = None
+    rows[13]["NLL"] = rows[5]["NLL"] = None
     means, ratios = accuracy.summaries(rows, (0, 1))
     assert means.rows[0]["MAE"] == "1.500 ± 0.707"
     assert means.rows[5]["NLL"] is None
@@ -285,6 +286,7 @@ def test_ratios_pair_the_seeds() -> None:
     }  # fmt: skip
     assert by_title["ECE, Gaussian / hard"]["seed 1"] == 0.5
     assert by_title["NLL, Gaussian / hard"]["seed 1"] == 2.0 / 3.0
+    assert by_title["NLL, Gaussian / hard, last epochs"]["seed 1"] == 0.4
 
 
 def test_a_long_run_can_be_cut_into_parts(tmp_path: Path) -> None:
