@@ -53,6 +53,9 @@ Example:
     help="Share of the time that the robot is pushed off its way: a --record then shows how to get back.",
 )
 @click.option(
+    "--rescue", is_flag=True, help="Where --local steer gets no farther, the teacher drives a little: for a --record."
+)
+@click.option(
     "--vehicle", type=click.Choice(["ugv", "auv"]), help="Default: auv where the site is under water, else ugv."
 )
 @click.option("--after", type=opt.PATH, help="Log of the drive that this one goes on from: it begins where that ended.")
@@ -81,6 +84,7 @@ def drive(
     model: Path | None,
     roam_m: float | None,
     disturb: float,
+    rescue: bool,
     vehicle: str | None,
     after: Path | None,
     record: Path | None,
@@ -103,13 +107,15 @@ def drive(
         raise click.UsageError("--stay and --after are of a PLAN")
     if (local == "steer") != (model is not None):
         raise click.UsageError("--local steer needs a --model, and no other takes one")
+    if rescue and local != "steer":
+        raise click.UsageError("--rescue is for --local steer")
     from hrt_cli.driving.stage import DriveRequest, drive_file, stay_file
 
     if world is None:
         assert plan is not None
         done = stay_file(plan, output, after=after, existing=existing)
     else:
-        request = DriveRequest(local, model, vehicle, roam_m, disturb, time_limit_s, seed)
+        request = DriveRequest(local, model, vehicle, roam_m, disturb, rescue, time_limit_s, seed)
         with console.bar("drive") as progress:
             done = drive_file(
                 plan, world, output, request, after=after, record=record, existing=existing, progress=progress

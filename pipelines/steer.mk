@@ -1,7 +1,8 @@
 # A robot learns to steer from one survey, before it has driven a metre: make -f steer.mk world=../site
 #
 # Round 1 shows it how the expert drives, who sees the site as it is. In each later round the robot itself drives, and
-# the expert says what it should have done there (DAgger: Ross, Gordon and Bagnell 2011); it learns from all rounds so far:
+# the expert says what it should have done there, and helps it on where it gets stuck (DAgger: Ross, Gordon and Bagnell
+# 2011); it learns from all rounds so far:
 #   round-1/drive-1/labels.csv  drive-1.jsonl  ...  steer.safetensors  curve.png        test/drive-1.jsonl  report.json
 # The courses are random legs over the site (hrt drive --roam), others in the test than in training.
 
@@ -52,7 +53,7 @@ endef
 # $1 round. Recipes, too, are expanded here, while `recordings` are those of the rounds so far.
 define learning_round
 $(foreach d,$(learn_drives),$(eval $(call learning_drive,$1,$d,\
-  $(if $(learnt),--local steer --model $(learnt),$(push_args)),$(if $(learnt),$(learnt),$(stamps)/steer-push))))
+  $(if $(learnt),--local steer --model $(learnt) --rescue,$(push_args)),$(if $(learnt),$(learnt),$(stamps)/steer-push))))
 $(steer_out)/round-$1/steer.safetensors: $(recordings) $(learnt) $(stamps)/steer-train
 	$(HRT) train-steer $(patsubst %/labels.csv,%,$(recordings)) -o $$@ $(train_args) --epochs $(word $1,$(steer_epochs)) \
 	  $(if $(learnt),--init $(learnt)) --seed $(seed) --curve $$(@D)/curve.png --overwrite

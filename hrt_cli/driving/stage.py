@@ -18,6 +18,7 @@ from hrt_cli.driving.disturb import Disturbed
 from hrt_cli.driving.expert import GroundExpert, WaterExpert
 from hrt_cli.driving.local import LocalPlanner, Pursuit
 from hrt_cli.driving.record import ABOUT, Recorder, prepare_folder
+from hrt_cli.driving.rescue import Rescued
 from hrt_cli.driving.roam import roam_course
 from hrt_cli.driving.route import planned_course
 from hrt_cli.driving.simulator import Drive, Setting, first_heading, simulate, unwatched
@@ -48,6 +49,8 @@ class DriveRequest:
         Without a plan: how long the course of random legs is (`driving.roam`).
     disturb : float
         Share of the time that the robot is pushed off its way, in [0, 1) (`driving.disturb`).
+    rescue : bool
+        The teacher helps the learnt planner on where it gets no farther (`driving.rescue`).
     time_limit_s : float or None
         The drive ends after so long. None: the plan's budget where that is in minutes, else never.
     seed : int
@@ -58,6 +61,7 @@ class DriveRequest:
     vehicle: str | None = None
     roam_m: float | None = None
     disturb: float = 0.0
+    rescue: bool = False
     time_limit_s: float | None = None
     seed: int = 0
 
@@ -142,6 +146,8 @@ def drive_file(
         setting, notes = _setting(plan_path, site, request, after)
         vehicle = setting.vehicle
         local = local_planner(request.local, setting, request.model)
+        if request.rescue:
+            local = Rescued(local, teacher_of(setting))
         if request.disturb > 0:
             local = Disturbed(local, request.disturb, request.seed)
         watch, recorder = unwatched, None
@@ -204,6 +210,8 @@ def _check_request(request: DriveRequest, plan_path: Path | None, after: Path | 
         raise ArgumentError("a drive that roams goes on from no other: leave --after out, or give a plan")
     if (request.local == "steer") != (request.model is not None):
         raise ArgumentError("the local planner steer needs a --model, and no other takes one")
+    if request.rescue and request.local != "steer":
+        raise ArgumentError("only the local planner steer is helped on: leave --rescue out")
 
 
 def _setting(
