@@ -113,7 +113,7 @@ def main() -> None:
     parser.add_argument("--courses", type=int, default=4)
     parser.add_argument("--metres", type=float, default=300.0, help="of each course")
     parser.add_argument("--no-cloning", action="store_true")
-    options = parser.parse_args()
+    options = parser.parse_intermixed_args()
     settings = dict(each.split("=", 1) for each in options.settings)
     out = options.out or Path(tempfile.mkdtemp())
     rounds = {}
