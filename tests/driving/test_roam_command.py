@@ -43,6 +43,7 @@ def test_a_plan_or_metres_to_roam(world: Path, tmp_path: Path) -> None:
         (["--world", world], one),
         ([plan, "--world", world, "--roam", "9"], one),
         (["--world", world, "--roam", "9", "--after", plan], "--stay and --after are of a PLAN"),
+        (["--world", world, "--roam", "9", "--rescue"], "--rescue is for --local steer"),
         (["--stay", "--roam", "9"], "--stay and --after are of a PLAN"),
         (["--roam", "9"], "give the --world"),
         (["--world", world, "--stay", "--roam", "9"], "give the --world"),
