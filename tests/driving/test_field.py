@@ -55,6 +55,19 @@ def by_scipy(cost: NDArray[np.float32], to: tuple[int, int]) -> NDArray[np.float
     return dijkstra(graph.tocsr(), indices=to[0] * cols + to[1]).reshape(rows, cols)
 
 
+def test_ways_beyond_the_one_asked_for() -> None:
+    cost = random_cost(5, 9, 9, 0.2)
+    cost[4, 4] = cost[4, 5] = 2.0
+    whole, out = by_scipy(cost, (4, 4)), np.empty_like(cost)
+    asked = ways_to(cost, CELL_M, 4, 4, 4, 5, math.inf, 1.5, out)
+    within = whole <= asked + 1.5 - 1e-5
+    assert 3 < within.sum() < cost.size
+    np.testing.assert_allclose(out[within], whole[within], rtol=1e-5)
+    ways_to(cost, CELL_M, 4, 4, 4, 5, math.inf, 0.0, out)
+    assert np.isfinite(out).sum() < within.sum() + 20
+    assert not np.isfinite(out[within]).all()
+
+
 @settings(max_examples=40)
 @given(
     seed=st.integers(0, 9999), rows=st.integers(1, 9), cols=st.integers(1, 9), blocked=st.sampled_from([0, 0.2, 0.5])

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from world_files import ground_site
 
-from hrt_cli.driving.lens import attitude, look
+from hrt_cli.driving.lens import attitude, camera_of, look
 from hrt_cli.driving.local import Pose
-from hrt_cli.driving.vehicle import AUV, UGV
+from hrt_cli.driving.vehicle import AUV, UGV, Vehicle
 from hrt_cli.world.camera import Camera, Lens, Weather
 from hrt_cli.world.site import Site
 
@@ -27,6 +27,11 @@ def plane(east: float, south: float, base_m: float = 0.0, **more: object) -> Sit
 
 def at(heading_deg: float, height_m: float = 0.0, pitch_deg: float = 0.0) -> Pose:
     return Pose(MIDDLE, MIDDLE, height_m, math.radians(heading_deg), math.radians(pitch_deg))
+
+
+@pytest.mark.parametrize("vehicle", [UGV, AUV])
+def test_a_robots_camera_has_the_lens_of_its_mounting(vehicle: Vehicle) -> None:
+    assert camera_of(plane(0.0, 0.0), vehicle, 3).lens.hfov_deg == vehicle.lens_hfov_deg
 
 
 @pytest.mark.parametrize("heading_deg", [0.0, 45.0, 90.0, 137.0, 180.0, 270.0, -30.0])

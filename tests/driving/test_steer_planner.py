@@ -111,6 +111,11 @@ def test_it_drives_slower_in_turns() -> None:
     assert speeds == pytest.approx({k: max(0.0, 1.0 - abs(k) / 7 / 0.9) for k in speeds})
 
 
+def test_a_diver_keeps_way_in_turns() -> None:
+    model = Model(yaw=peaks(k7=1.0), pitch=peaks(k0=1.0))
+    assert decided(model, Pose(5.0, 5.0, -3.0, 0.0, 0.0), site=water()).speed == pytest.approx(1.0 - 45.0 / 70.0)
+
+
 def test_pitch_is_told_only_by_a_model_that_has_one() -> None:
     assert decided(Model(yaw=peaks(k0=1.0))).pitch == 0.0
     model = Model(yaw=peaks(k_3=1.0), pitch=peaks(k2=0.5, k4=0.5))

@@ -23,8 +23,9 @@ def costs_from(
     heading_deg: float,
     blocked: NDArray[np.bool_] | None = None,
     goal: tuple[float, float] = GOAL,
+    ground: float = 1.0,
 ) -> NDArray[np.float64]:
-    cost = np.ones((SIDE, SIDE), np.float32)
+    cost = np.full((SIDE, SIDE), ground, np.float32)
     if blocked is not None:
         cost[blocked] = np.inf
     made, to_go = CostMap(cost, CELL_M), np.empty_like(cost)
@@ -64,6 +65,20 @@ def test_one_that_stands_where_it_may_not_be_is_led_out_of_there() -> None:
     found = costs_from(6.1, 9.0, 0.0, blocked, goal=(9.0, 9.0))
     assert ANGLES[int(found.argmin())] > 0.2
     assert found[0] > found[-1]
+
+
+def test_time_where_it_may_not_be_is_paid_for() -> None:
+    blocked = np.zeros((SIDE, SIDE), np.bool_)
+    blocked[:, :31] = True
+    # 0.3 m from the edge, and looking at it: straight on it is out soon, turning on the spot it stays for 1.2 s.
+    found = costs_from(5.9, 9.0, 90.0, blocked, goal=(9.0, 9.0))
+    assert found[7] == 0.0
+    assert found[0] > 6.0
+
+
+def test_bad_ground_all_over_does_not_make_standing_cheaper() -> None:
+    good, bad = (costs_from(6.1, 9.0, 0.0, ground=ground) for ground in (1.0, 3.0))
+    assert bad[0] == pytest.approx(good[0], abs=0.25)
 
 
 def test_costs_have_a_bound() -> None:

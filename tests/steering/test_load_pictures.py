@@ -130,6 +130,13 @@ class TestDigest:
         put_text(drive / "labels.csv", text.replace(old, new))
         assert (digest_of(drive) == first) == (new == "\r\n")
 
+    def test_changes_with_what_turns_cost(self, tmp_path: Path) -> None:
+        costs = ["0 1 2", "0 1 2.5"]
+        found = [
+            digest_of(put_labels(tmp_path / f"{n}" / "d", [0.2], costs_s=[each]).parent) for n, each in enumerate(costs)
+        ]
+        assert found[0] != found[1]
+
     def test_changes_with_the_pictures_and_their_order(self, drive: Path) -> None:
         seen = {digest_of(drive)}
         a, b = (drive / "frames" / f"00000{n}.jpg" for n in (1, 2))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -198,6 +199,12 @@ def test_what_is_held_out_must_be_alike_and_apart(data: Path, tmp_path: Path) ->
         run(data, output, validation=[auv])
     with pytest.raises(InputError, match=r"blind/labels\.csv: does not say where to go.*--no-goal"):
         run(auv, output, validation=[blind])
+    rows = (auv / "labels.csv").read_text().splitlines()
+    shutil.copytree(auv, tmp_path / "costs")
+    with_costs = "\n".join([f"{rows[0]},turn_costs_s", *(f"{row},0 1 2" for row in rows[1:])])
+    (tmp_path / "costs" / "labels.csv").write_text(f"{with_costs}\n", encoding="utf-8")
+    with pytest.raises(InputError, match=r"costs/labels\.csv: has 3 turn_costs_s a row, and the training data 0"):
+        run(auv, output, validation=[tmp_path / "costs"])
     with pytest.raises(InputError, match=r"labels\.csv: is both trained on and held out"):
         run(data, output, validation=[data])
     assert not output.exists()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -14,6 +15,7 @@ from hrt_cli.errors import ArgumentError
 from hrt_cli.steering import network
 from hrt_cli.steering.augment import Augment
 from hrt_cli.steering.batches import Frames, dropout_seed
+from hrt_cli.steering.calibrate import HIGHEST
 from hrt_cli.steering.network import SteeringConfig, SteeringNet
 from hrt_cli.steering.precision import Arithmetic, repeatable
 from hrt_cli.steering.resnet import ResNet18
@@ -47,6 +49,27 @@ def trainer(spec: SteerSpec, config: SteeringConfig = CONFIG, *, frames: int = 2
         spec,
         CPU,
     )
+
+
+def test_it_learns_what_turns_cost_and_not_the_yaw_beside() -> None:
+    costs = np.tile(np.array([3, 2.5, 2, 1.5, 1, 0, 0.5], np.float32), (24, 1))
+    own = replace(posts(24, 1), steering=np.full((24, 1), -0.9, np.float32), costs=costs)
+    spec = SteerSpec(epochs=25, batch=8, learning_rate=0.02, augment=Augment.none(), cost_scale_s=0.25)
+    yaws = []
+    for each in (spec, replace(spec, cost_scale_s=0.0)):
+        torch.manual_seed(0)
+        learner = Trainer(SteeringNet(CONFIG), own, own, each, CPU)
+        learner.run()
+        yaws.append(int(learner._logits(own)["yaw"].mean(axis=0).argmax()))
+    assert yaws == [5, 0]
+
+
+def test_temperatures_are_fitted_to_the_costs() -> None:
+    own = replace(posts(24, 1), costs=np.zeros((24, 7), np.float32))
+    learner = Trainer(SteeringNet(CONFIG), own, own, SteerSpec(epochs=1, batch=8), CPU)
+    learner.run()
+    # Every turn costs the same: the flatter the better.
+    assert learner.course.history[0].temperature["yaw"] == pytest.approx(HIGHEST, rel=1e-3)
 
 
 def test_the_learning_rate_rises_and_falls() -> None:
