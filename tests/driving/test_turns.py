@@ -74,6 +74,7 @@ def test_time_where_it_may_not_be_is_paid_for() -> None:
     found = costs_from(5.9, 9.0, 90.0, blocked, goal=(9.0, 9.0))
     assert found[7] == 0.0
     assert found[0] > 6.0
+    assert found[4] > 1.5, "half a turn, and out a little later"
 
 
 def test_bad_ground_all_over_does_not_make_standing_cheaper() -> None:
