@@ -13,13 +13,15 @@ from hrt_cli.world.camera import Camera, Frame, Lens
 from hrt_cli.world.site import Site
 
 
+def clear_camera(site: Site, vehicle: Vehicle) -> Camera:
+    """Return a robot's camera, in the site's own weather."""
+    return Camera(site).changed(lens=Lens(hfov_deg=vehicle.lens_hfov_deg))
+
+
 def camera_of(site: Site, vehicle: Vehicle, seed: int) -> Camera:
     """Return a robot's camera, in the weather of the drive of a seed."""
-    camera = Camera(site)
-    return camera.changed(
-        lens=Lens(hfov_deg=vehicle.lens_hfov_deg),
-        weather=camera.weather.jittered(np.random.default_rng([seed, 0xCA])),
-    )
+    camera = clear_camera(site, vehicle)
+    return camera.changed(weather=camera.weather.jittered(np.random.default_rng([seed, 0xCA])))
 
 
 def look(camera: Camera, site: Site, vehicle: Vehicle, pose: Pose, *, noise_seed: int | None = None) -> Frame:

@@ -13,7 +13,7 @@ from rasterio.crs import CRS
 from rasterio.errors import CRSError
 
 from hrt_cli.artifacts.drivelog import DriveLog, read_drive_log
-from hrt_cli.driving.lens import look
+from hrt_cli.driving.lens import clear_camera, look
 from hrt_cli.driving.local import Pose
 from hrt_cli.driving.motion import bottom_clearance, sample
 from hrt_cli.driving.vehicle import VEHICLES, Vehicle
@@ -24,7 +24,6 @@ from hrt_cli.progress import Progress, silent
 from hrt_cli.raster.grid import WGS84
 from hrt_cli.raster.scoremap import read_scoremap
 from hrt_cli.raster.track import track_on
-from hrt_cli.world.camera import Camera
 from hrt_cli.world.site import Site, load_site
 
 LOOK_EVERY_S = 1.0
@@ -281,7 +280,7 @@ def _views(
     site: Site, poses: _Poses, log: DriveLog, vehicle: Vehicle, target: int, gone_m: NDArray[np.float64]
 ) -> list[tuple[float, float]]:
     """Return metres driven and the share of the picture that the target covers, for a frame every second."""
-    camera = Camera(site)
+    camera = clear_camera(site, vehicle)
     views = []
     due = -math.inf
     for k, now in enumerate(log.time_s):

@@ -1,7 +1,7 @@
 """A 3 x 3 convolution as one product of matrices, for maps of a few pixels under many channels.
 
-There the convolutions of oneDNN are bound by their weights, above all backwards (it spends two to five times as long on
-ResNet-18's last stage). The patches of all pictures of a batch as one matrix make a product that is not.
+There the convolutions of oneDNN are bound by their weights, above all backwards. The patches of all pictures of a batch
+as one matrix make a product that is not.
 """
 
 from __future__ import annotations

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from world_files import ground_site
 
-from hrt_cli.driving.lens import attitude, camera_of, look
+from hrt_cli.driving.lens import attitude, camera_of, clear_camera, look
 from hrt_cli.driving.local import Pose
 from hrt_cli.driving.vehicle import AUV, UGV, Vehicle
 from hrt_cli.world.camera import Camera, Lens, Weather
@@ -31,7 +31,9 @@ def at(heading_deg: float, height_m: float = 0.0, pitch_deg: float = 0.0) -> Pos
 
 @pytest.mark.parametrize("vehicle", [UGV, AUV])
 def test_a_robots_camera_has_the_lens_of_its_mounting(vehicle: Vehicle) -> None:
-    assert camera_of(plane(0.0, 0.0), vehicle, 3).lens.hfov_deg == vehicle.lens_hfov_deg
+    site = plane(0.0, 0.0)
+    for camera in (camera_of(site, vehicle, 3), clear_camera(site, vehicle)):
+        assert camera.lens.hfov_deg == vehicle.lens_hfov_deg
 
 
 @pytest.mark.parametrize("heading_deg", [0.0, 45.0, 90.0, 137.0, 180.0, 270.0, -30.0])
