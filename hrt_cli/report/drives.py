@@ -18,7 +18,7 @@ from hrt_cli.errors import ArgumentError
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-STAGE_VERSION = 1
+STAGE_VERSION = 2
 _COLOUR, _MEAN_COLOUR = "#0072b2", "#d55e00"
 _BIN_M = 0.1
 _CAPTION_CHARS = 130
