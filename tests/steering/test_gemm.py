@@ -9,11 +9,12 @@ from torch import nn
 from hrt_cli.steering.gemm import Conv3x3
 
 
+@pytest.mark.parametrize("outputs", [128, 512])
 @pytest.mark.parametrize("stride", [1, 2])
-@pytest.mark.parametrize(("height", "width"), [(3, 5), (2, 2), (1, 1), (4, 7)])
-def test_values_and_gradients_are_pytorchs(stride: int, height: int, width: int) -> None:
+@pytest.mark.parametrize(("height", "width"), [(3, 5), (2, 2), (1, 1), (4, 7), (1, 2), (3, 1), (2, 4)])
+def test_values_and_gradients_are_pytorchs(outputs: int, stride: int, height: int, width: int) -> None:
     torch.manual_seed(0)
-    conv = Conv3x3(8, 512, stride).train()
+    conv = Conv3x3(8, outputs, stride).train()
     x = torch.randn(3, 8, height, width, requires_grad=True)
     made = conv(x)
     assert "Product" in type(made.grad_fn).__name__
@@ -28,7 +29,7 @@ def test_values_and_gradients_are_pytorchs(stride: int, height: int, width: int)
         torch.testing.assert_close(found, wanted, atol=1e-4, rtol=1e-5)
 
 
-@pytest.mark.parametrize(("outputs", "pixels", "training"), [(256, 4, True), (512, 4100, True), (512, 4, False)])
+@pytest.mark.parametrize(("outputs", "pixels", "training"), [(64, 4, True), (128, 4100, True), (512, 4, False)])
 def test_elsewhere_it_is_pytorchs(outputs: int, pixels: int, training: bool) -> None:
     conv = Conv3x3(4, outputs).train(training)
     made = conv(torch.randn(1, 4, 1, pixels, requires_grad=True))
