@@ -48,6 +48,10 @@ COMMANDS = {
         "hrt_commands.drive:drive",
         "Drive PLAN on a site in simulation and log what the robot would have logged, never the truth.",
     ),
+    "record": (
+        "hrt_commands.record:record",
+        "Look from random places of a site and tell how to steer there: steering data without a drive.",
+    ),
     "train-steer": (
         "hrt_commands.train_steer:train_steer",
         "Train a network on DATA that steers from what the camera sees.",

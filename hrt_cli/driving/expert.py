@@ -7,10 +7,10 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from hrt_cli.driving.climb import climb_rad
 from hrt_cli.driving.course import Course
 from hrt_cli.driving.field import Cell, CostMap, cost_map, follow, is_clear, water_map, ways_to
 from hrt_cli.driving.local import Command, Pose, steer_to
-from hrt_cli.driving.motion import sample
 from hrt_cli.driving.vehicle import Vehicle
 from hrt_cli.world.site import Site
 
@@ -26,13 +26,6 @@ MUCH_DEARER = 2.0
 _ESCAPE_M = 1.0
 """How far off the nearest cell may be that it may be in, when it is in none."""
 
-_AHEAD_M = (0.3, 0.6, 1.0, 1.5, 2.0, 2.6, 3.2, 4.0)
-"""How far ahead over the bottom an AUV looks."""
-_BESIDE_M = (0.5, 0.9)
-_TURNS = tuple(k * math.pi / 6 for k in range(12))
-"""How far to every side, and in which directions: it may have to turn there."""
-_SHARE_BESIDE = 0.7
-"""Share of its altitude that it keeps over what lies on any side."""
 _SLOWEST = 0.45
 """Share of its speed that an AUV keeps: enough to make way against a current."""
 _SLOPE_IS_STEEP = 0.8
@@ -167,24 +160,7 @@ class WaterExpert(GroundExpert):
         command = super().steer(pose)
         if command is None:
             return None
-        climb, limit = self.climb_rad(pose), self._vehicle.pitch_limit_rad
+        climb, limit = climb_rad(self._site, self._vehicle, pose), self._vehicle.pitch_limit_rad
         steep = min(1.0, max(0.0, climb / limit - _SLOPE_IS_STEEP) / (1.0 - _SLOPE_IS_STEEP))
         speed = command.speed * max(_SLOWEST, 1.0 - steep)
         return Command(command.yaw, max(-1.0, min(1.0, climb / limit)), speed)
-
-    def climb_rad(self, pose: Pose) -> float:
-        """Return the pitch that keeps the altitude over what lies ahead, and clear of what lies on any side."""
-        clear = self._vehicle.altitude_m
-        east, south = math.sin(pose.heading_rad), -math.cos(pose.heading_rad)
-        steepest = -math.inf
-        for ahead in _AHEAD_M:
-            for aside in (-0.4, 0.0, 0.4):
-                top = self._top(pose, ahead * east - aside * south, ahead * south + aside * east)
-                steepest = max(steepest, math.atan2(top + clear - pose.height_m, ahead + 0.5))
-        beside = max(self._top(pose, r * math.sin(turn), r * math.cos(turn)) for r in _BESIDE_M for turn in _TURNS)
-        return max(steepest, math.atan2(beside + _SHARE_BESIDE * clear - pose.height_m, max(_BESIDE_M)))
-
-    def _top(self, pose: Pose, east_m: float, south_m: float) -> float:
-        """Return the height of the bottom beside a pose."""
-        site = self._site
-        return float(sample(site.surface_m, site.pixel_m, pose.east_m + east_m, pose.south_m + south_m))

@@ -14,10 +14,11 @@ from hrt_cli.artifacts.drivelog import Header, Robot, drive_provenance, publish_
 from hrt_cli.artifacts.plan import read_plan
 from hrt_cli.artifacts.publish import output_error
 from hrt_cli.artifacts.stage import REFUSE, Existing, ReadProvenance, begin
+from hrt_cli.driving.album import ABOUT, prepare_folder
 from hrt_cli.driving.disturb import Disturbed
 from hrt_cli.driving.expert import GroundExpert, WaterExpert
 from hrt_cli.driving.local import LocalPlanner, Pursuit
-from hrt_cli.driving.record import ABOUT, Recorder, prepare_folder
+from hrt_cli.driving.record import Recorder
 from hrt_cli.driving.rescue import Rescued
 from hrt_cli.driving.roam import roam_course
 from hrt_cli.driving.route import planned_course
@@ -29,7 +30,7 @@ from hrt_cli.progress import Progress, silent
 from hrt_cli.world.site import Site, load_site, site_files
 
 STAGE = "drive"
-STAGE_VERSION = 5
+STAGE_VERSION = 6
 
 LOCAL_PLANNERS = ("pursuit", "expert", "teacher", "steer")
 
@@ -153,13 +154,13 @@ def drive_file(
         watch, recorder = unwatched, None
         if record is not None:
             prepare_folder(record, list(inputs.values()), overwrite=existing.overwrite or existing.force)
-            recorder = Recorder(setting, teacher_of(setting), record)
+            recorder = Recorder(setting, teacher_of(setting), record, f"{output.stem}-{request.seed}")
             watch = recorder.watch
         drive = simulate(setting, local, watch=watch, progress=progress)
         robot = Robot(kind=vehicle.kind, radius_m=vehicle.radius_m)
         header = Header(format="hrt-drive-log", crs=site.grid.crs_text(), robot=robot, end=drive.end)
         if recorder is not None:
-            recorder.finish(f"{output.stem}-{request.seed}", job.provenance)
+            recorder.finish(job.provenance)
         publish_drive_log(output, header, _records(drive, site, vehicle), job.provenance)
     return _summary(output, job.up_to_date, notes)
 

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hrt_cli.driving.course import Course
+from hrt_cli.driving.elsewhere import GOALS, Elsewhere, Goals
 from hrt_cli.driving.expert import MUCH_DEARER, GroundExpert, WaterExpert
 from hrt_cli.driving.field import Cell, is_clear
 from hrt_cli.driving.goal import Goal
@@ -42,6 +43,7 @@ class GroundTeacher(GroundExpert):
     def __init__(self, site: Site, course: Course, vehicle: Vehicle, cruise_m_s: float) -> None:
         super().__init__(site, course, vehicle)
         self._goal, self._robot, self._cruise_m_s = Goal(course), vehicle, cruise_m_s
+        self._elsewhere = Elsewhere(self._map, vehicle, cruise_m_s)
         self.bearing_rad = 0.0
 
     def follow(self, known: Pose) -> None:
@@ -60,6 +62,10 @@ class GroundTeacher(GroundExpert):
         if command is None:
             return None
         return command, turn_costs(self._map, self._to_go, self._robot, self._cruise_m_s, pose)
+
+    def others(self, pose: Pose, rng: np.random.Generator) -> Goals | None:
+        """Return other goals, and what turns cost on the way to them; None: no way to any."""
+        return self._elsewhere.goals(pose, GOALS, rng)
 
     def _has_target(self, pose: Pose, here: Cell) -> bool:
         first, end = self._goal.aim_m, self._course.length_m

@@ -81,9 +81,9 @@ def augment(
     pictures : uint8 [n, height, width, 3]
     steering : float32 [n, outputs]
         Yaw first; pitch stays as it is.
-    goal : float32 [n], optional
+    goal : float32 [n, goals], optional
         Bearings in radians, right positive.
-    costs : float32 [n, turns], optional
+    costs : float32 [n, goals, turns], optional
         At evenly spaced yaws from -1 to 1.
     strengths : Augment
     rng : numpy.random.Generator
@@ -120,14 +120,14 @@ def augment(
     changed_costs = None if costs is None else _turned(costs, sign, turn)
     if goal is None:
         return out, labels, None, changed_costs
-    bearing = sign * goal + turn * YAW_UNIT_RAD
+    bearing = sign[:, None] * goal + turn[:, None] * YAW_UNIT_RAD
     return out, labels, np.arctan2(np.sin(bearing), np.cos(bearing)).astype(np.float32), changed_costs
 
 
 def _turned(costs: Labels, sign: NDArray[np.float64], turn: NDArray[np.float64]) -> Labels:
     """Return costs mirrored where `sign` is -1, then moved by `turn` along the yaws."""
-    yaw = np.linspace(-1.0, 1.0, costs.shape[1])
-    moved = [np.interp(s * (yaw - t), yaw, each) for each, s, t in zip(costs, sign, turn, strict=True)]
+    yaw = np.linspace(-1.0, 1.0, costs.shape[2])
+    moved = [[np.interp(s * (yaw - t), yaw, one) for one in each] for each, s, t in zip(costs, sign, turn, strict=True)]
     return np.array(moved, np.float32).reshape(costs.shape)
 
 

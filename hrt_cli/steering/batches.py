@@ -36,10 +36,10 @@ class Frames:
         Which of them.
     steering : float32 [n, outputs]
         In [-1, 1].
-    goal : float32 [n] or None
-        Bearings in radians.
-    costs : float32 [n, turns] or None
-        In seconds, what turning by each angle costs.
+    goal : float32 [n, goals] or None
+        Bearings in radians; the first is the frame's own, to which its steering belongs.
+    costs : float32 [n, goals, turns] or None
+        In seconds, what turning by each angle costs on the way to each goal.
     """
 
     pictures: NDArray[np.uint8]
@@ -97,7 +97,7 @@ def epoch_batches(
     Every frame comes once an epoch; with a balance, those of rare yaw more often, and as many in all. Where the network
     is told goals, rare is what the goal does not explain.
     """
-    rare = unexplained(frames.steering[:, 0], frames.goal)
+    rare = unexplained(frames.steering[:, 0], None if frames.goal is None else frames.goal[:, 0])
     weight = class_weights(rare, config.half_classes, balance_strength)
     order = draw_epoch(weight, np.random.default_rng([seed, _ORDER, epoch]))
     parts = np.array_split(order, batch_count(len(frames), batch))

@@ -76,14 +76,16 @@ def gather(
     config = SteeringConfig(**{**dict(config), "outputs": found.outputs, "goal": goal, "temperature": {}})
     found, pictures, digest = load_pictures(found, config, skip_bad=skip_bad, progress=progress, note=note)
     check_varied(found, config.half_classes)
+    others = spec.cost_scale_s > 0.0
     if apart is None:
         parts = split(found, by=spec.split, share=spec.share, gap=spec.gap, seed=spec.seed, note=note)
-        training, validation = (_frames(found, pictures, rows, goal) for rows in (parts.train, parts.validation))
+        training = _frames(found, pictures, parts.train, goal, others=others)
+        validation = _frames(found, pictures, parts.validation, goal)
         how, samples, digests = parts.how, [found], {"pictures": digest}
     else:
-        apart, others, other = load_pictures(apart, config, skip_bad=skip_bad, progress=progress, note=note)
-        training = _frames(found, pictures, np.arange(len(found.paths)), goal)
-        validation = _frames(apart, others, np.arange(len(apart.paths)), goal)
+        apart, theirs, other = load_pictures(apart, config, skip_bad=skip_bad, progress=progress, note=note)
+        training = _frames(found, pictures, np.arange(len(found.paths)), goal, others=others)
+        validation = _frames(apart, theirs, np.arange(len(apart.paths)), goal)
         how, samples = "folders of their own", [found, apart]
         digests = {"pictures": digest, "validation_pictures": other}
     if len(training) < 2 or len(validation) < 1:
@@ -115,7 +117,15 @@ def _check_alike(found: Samples, apart: Samples, goal: bool) -> None:
         raise InputError(sorted(both)[0], "is both trained on and held out")
 
 
-def _frames(samples: Samples, pictures: NDArray[np.uint8], rows: NDArray[np.int64], goal: bool) -> Frames:
-    told = samples.goal[rows] if goal and samples.goal is not None else None
-    costs = samples.turn_costs_s[rows] if goal and samples.turn_costs_s is not None else None
+def _frames(
+    samples: Samples, pictures: NDArray[np.uint8], rows: NDArray[np.int64], goal: bool, *, others: bool = False
+) -> Frames:
+    """Return frames, perhaps with their other goals: those have costs alone, and are measured by nothing else."""
+    if not goal or samples.goal is None:
+        return Frames(pictures, rows, samples.steering[rows], None, None)
+    told = samples.goal[rows][:, None]
+    costs = None if samples.turn_costs_s is None else samples.turn_costs_s[rows][:, None]
+    if others and costs is not None and samples.other_goals is not None and samples.other_costs_s is not None:
+        told = np.concatenate([told, samples.other_goals[rows]], axis=1)
+        costs = np.concatenate([costs, samples.other_costs_s[rows]], axis=1)
     return Frames(pictures, rows, samples.steering[rows], told, costs)

@@ -1,6 +1,7 @@
 """hrt's own recordings: `labels.csv` with the columns image and yaw, and maybe others.
 
-Those are pitch, session, goal_deg, and turn_costs_s: an odd number of costs in seconds, with spaces between them.
+Those are pitch, session, goal_deg, and turn_costs_s: an odd number of costs in seconds, with spaces between them. Then
+there may be other_goals_deg, as many in each row, and other_costs_s: as many costs for each of them.
 """
 
 from __future__ import annotations
@@ -23,7 +24,8 @@ from hrt_cli.steering.rows import (
 )
 
 LABELS = "labels.csv"
-_NEEDED, _OPTIONAL = ("image", "yaw"), ("pitch", "session", "goal_deg", "turn_costs_s")
+_OTHERS = ("other_goals_deg", "other_costs_s")
+_NEEDED, _OPTIONAL = ("image", "yaw"), ("pitch", "session", "goal_deg", "turn_costs_s", *_OTHERS)
 _LONGEST_SESSION = 200
 _FEWEST_TURNS = 3
 _DEAREST_S = 1e6
@@ -43,7 +45,9 @@ def read_labels(folder: Path) -> Recording:
     outputs: tuple[Output, ...] = ("yaw", "pitch") if "pitch" in columns else ("yaw",)
     recording = Recording((file,), outputs, "goal_deg" in columns)
     if "turn_costs_s" in columns:
-        recording.turns = _count_turns(lines, columns.index("turn_costs_s"))
+        recording.turns = _count(lines, columns.index("turn_costs_s"))
+        if _OTHERS[0] in columns:
+            recording.other_goals = _count(lines, columns.index(_OTHERS[0]))
     below = Below(folder)
     for line in lines:
         with recording.row(file, line.row):
@@ -65,6 +69,10 @@ def _columns(file: Path, header: Line) -> list[str]:
         raise InputError(file, f"has the unknown column {unknown[0][:40]!r} (known: {known})")
     if len(set(columns)) != len(columns):
         raise InputError(file, "names a column twice")
+    if set(_OTHERS) & set(columns) and not {*_OTHERS, "goal_deg", "turn_costs_s"} <= set(columns):
+        raise InputError(
+            file, f"needs all of goal_deg, turn_costs_s, {_OTHERS[0]} and {_OTHERS[1]}, or none of the last two"
+        )
     return columns
 
 
@@ -79,27 +87,49 @@ def _frame(line: Line, columns: list[str], recording: Recording, below: Below) -
         raise MalformedRowError("names no session" if not session else "has too long a name of the session")
     goal_rad = None
     if recording.has_goal:
-        goal_deg = real_number("goal_deg", values["goal_deg"])
-        if abs(goal_deg) > 180.0:
-            raise MalformedRowError(f"goal_deg is {goal_deg:g}, outside [-180, 180]")
-        goal_rad = math.radians(goal_deg)
+        goal_rad = _bearing("goal_deg", values["goal_deg"])
     costs = _costs(values["turn_costs_s"], recording.turns) if recording.turns else None
+    others = _others(values, recording) if recording.other_goals else ((), ())
     path, real = below.find(values["image"])
-    return Frame(path, real, steering, session, line.number, recording.files[0], line.row, goal_rad, costs)
+    return Frame(path, real, steering, session, line.number, recording.files[0], line.row, goal_rad, costs, *others)
 
 
-def _count_turns(lines: list[Line], column: int) -> int:
-    """Return how many costs most rows have."""
+def _bearing(name: str, text: str) -> float:
+    goal_deg = real_number(name, text)
+    if abs(goal_deg) > 180.0:
+        raise MalformedRowError(f"{name} is {goal_deg:g}, outside [-180, 180]")
+    return math.radians(goal_deg)
+
+
+def _others(values: dict[str, str], recording: Recording) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    """Return the bearings of other goals and what each turn costs on the way to each."""
+    goals = tuple(_bearing(_OTHERS[0], each) for each in values[_OTHERS[0]].split())
+    costs = values[_OTHERS[1]].split()
+    if len(goals) != recording.other_goals or len(costs) != len(goals) * recording.turns:
+        raise MalformedRowError(
+            f"has {len(goals)} {_OTHERS[0]} and {len(costs)} {_OTHERS[1]}, and each row must have as many goals "
+            f"and {recording.turns} costs for each"
+        )
+    return goals, tuple(_cost(_OTHERS[1], each) for each in costs)
+
+
+def _count(lines: list[Line], column: int) -> int:
+    """Return how many numbers most rows have in a column."""
     counts = Counter(len(line.text.split(",")[column].split()) for line in lines if line.text.count(",") >= column)
     return counts.most_common(1)[0][0] if counts else 0
 
 
 def _costs(text: str, turns: int) -> tuple[float, ...]:
-    costs = tuple(real_number("turn_costs_s", each) for each in text.split())
+    costs = tuple(_cost("turn_costs_s", each) for each in text.split())
     if len(costs) != turns or turns < _FEWEST_TURNS or turns % 2 == 0:
         raise MalformedRowError(
             f"turn_costs_s has {len(costs)} costs, and must have an odd number, in each row as many"
         )
-    if min(costs) < 0.0 or max(costs) > _DEAREST_S:
-        raise MalformedRowError(f"turn_costs_s has a cost outside [0, {_DEAREST_S:g}]")
     return costs
+
+
+def _cost(name: str, text: str) -> float:
+    cost = real_number(name, text)
+    if not 0.0 <= cost <= _DEAREST_S:
+        raise MalformedRowError(f"{name} has a cost outside [0, {_DEAREST_S:g}]")
+    return cost

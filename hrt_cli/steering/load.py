@@ -70,7 +70,7 @@ def load_pictures(
         RGB. In a file without a name in the folder for temporary files where it is larger than 1 GiB, so that memory
         stays free; the file goes when the process does, however it ends.
     digest : str
-        SHA-256 over name below its label file's folder, labels, goal, session, moment and costs of every frame and the
+        SHA-256 over name below its label file's folder, labels, goals, session, moment and costs of every frame and the
         bytes of its picture: the same wherever the folders lie.
 
     Raises
@@ -163,7 +163,7 @@ def _digest(samples: Samples, seen: list[_Seen]) -> str:
     digest = hashlib.sha256(json.dumps(samples.outputs).encode())
     names = _names(samples)
     for index, each in enumerate(seen):
-        row = [
+        row: list[object] = [
             names[index],
             samples.steering[index].tolist(),
             None if samples.goal is None else float(samples.goal[index]),
@@ -172,6 +172,8 @@ def _digest(samples: Samples, seen: list[_Seen]) -> str:
             None if samples.turn_costs_s is None else samples.turn_costs_s[index].tolist(),
             each.sha256,
         ]
+        if samples.other_goals is not None and samples.other_costs_s is not None:
+            row += [samples.other_goals[index].tolist(), samples.other_costs_s[index].tolist()]
         digest.update(json.dumps(row).encode() + b"\n")
     return digest.hexdigest()
 

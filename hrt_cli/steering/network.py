@@ -105,12 +105,14 @@ class SteeringNet(nn.Module):
         return self.gathered(self.trunk(pictures, self.spatial), goal)
 
     def gathered(self, seen: Tensor, goal: Tensor | None = None) -> Tensor:
-        """Return `features` of what the trunk saw, float [n, 512, rows, cols]."""
+        """Return `features` of what the trunk saw, float [n, 512, rows, cols]: a row for each picture and goal."""
         columns = nn.functional.adaptive_avg_pool2d(seen.float(), (1, self.config.columns)).flatten(1)
         if self.merge is None:
             return columns
         if goal is None:
             raise ValueError("this network must be told where to go")
+        if goal.ndim == 2:
+            columns, goal = columns.repeat_interleave(goal.shape[1], dim=0), goal.flatten()
         bearing = told(goal)
         # The head is told the bearing, too: to make for the goal is what it does where nothing is in the way.
         return torch.cat([self.merge(torch.cat([columns, bearing], dim=1)), bearing], dim=1)
@@ -127,8 +129,10 @@ class SteeringNet(nn.Module):
         ----------
         pictures : float [n, 3, height, width]
             As `pictures.prepare` makes them.
-        goal : float [n], optional
-            Bearing of the goal in radians, right positive; needed where the configuration says so.
+        goal : float [n] or [n, goals], optional
+            Bearings of the goal in radians, right positive; needed where the configuration says so. With several for a
+            picture there are n * goals rows of logits, those of a picture one after the other: to see is what takes
+            time, to ask for other goals is not.
         """
         return self.logits(self.features(pictures, goal))
 
@@ -179,18 +183,14 @@ def directions() -> Tensor:
     return torch.arange(_BEARINGS) * (2.0 * math.pi / _BEARINGS)
 
 
-def total_loss(
-    logits: dict[Output, Tensor], labels: dict[Output, Tensor], entropy_weight: float, weight: Tensor | None = None
-) -> Tensor:
-    """Return the mean over the samples of the sum of l over the outputs, a scalar (without the regulariser).
+def total_loss(logits: dict[Output, Tensor], labels: dict[Output, Tensor], entropy_weight: float) -> Tensor:
+    """Return the sum over the outputs of the mean of l, a scalar (without the regulariser).
 
     Parameters
     ----------
     logits, labels : dict of float [n, 2M + 1]
+        For each output with an n of its own.
     entropy_weight : float
         lambda2.
-    weight : float [n], optional
-        Of each sample; the mean is weighted.
     """
-    each = torch.stack([steering_loss(logits[name], labels[name], entropy_weight) for name in logits]).sum(0)
-    return each.mean() if weight is None else (each * weight).sum() / weight.sum()
+    return torch.stack([steering_loss(logits[name], labels[name], entropy_weight).mean() for name in logits]).sum()

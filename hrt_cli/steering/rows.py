@@ -45,6 +45,8 @@ class Frame:
         Bearing of the goal, right positive.
     turn_costs_s : tuple of floats, optional
         What turning by each of as many evenly spaced angles from -1 to 1 costs.
+    other_goals_rad, other_costs_s : tuples of floats
+        Bearings of other goals, and what each turn would cost on the way to each of them, goal by goal.
     """
 
     path: Path
@@ -56,6 +58,8 @@ class Frame:
     row: str
     goal_rad: float | None = None
     turn_costs_s: tuple[float, ...] | None = None
+    other_goals_rad: tuple[float, ...] = ()
+    other_costs_s: tuple[float, ...] = ()
 
 
 class Recording:
@@ -69,6 +73,8 @@ class Recording:
     has_goal : bool
     turns : int
         How many angles the costs of turning are known for; 0 where they are not.
+    other_goals : int
+        For how many other goals they are known.
     frames : list of Frame
         In the order in which they were taken.
     malformed : list of (Path, str)
@@ -77,7 +83,7 @@ class Recording:
 
     def __init__(self, files: tuple[Path, ...], outputs: tuple[Output, ...] = ("yaw",), has_goal: bool = False) -> None:
         self.files, self.outputs, self.has_goal = files, outputs, has_goal
-        self.turns = 0
+        self.turns = self.other_goals = 0
         self.frames: list[Frame] = []
         self.malformed: list[tuple[Path, str]] = []
 

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Container, Sequence
+from collections.abc import Callable, Container, Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 import torch
@@ -20,6 +21,8 @@ from hrt_cli.steering.network import Output
 from hrt_cli.steering.rows import Recording
 from hrt_cli.steering.tub import MANIFEST, read_tub
 from hrt_cli.steering.udacity import DRIVING_LOG, read_udacity
+
+T = TypeVar("T", NDArray[np.float32], NDArray[np.int32])
 
 _DEEPEST = 4
 """Levels of folders below a given one in which recordings are looked for."""
@@ -46,6 +49,10 @@ class Samples:
         Bearings in radians, right positive; all frames have one, or none.
     turn_costs_s : float32 [n, turns], optional
         What turning by each of `turns` angles from -1 to 1 costs; all frames have them, or none.
+    other_goals : float32 [n, goals], optional
+        Bearings of other goals, radians; all frames have as many.
+    other_costs_s : float32 [n, goals, turns], optional
+        What turning costs on the way to those.
     skipped : int
         Frames left out because their row or picture is damaged.
     files : tuple of Path
@@ -65,18 +72,26 @@ class Samples:
     files: tuple[Path, ...]
     moment: NDArray[np.int32] | None = None
     turn_costs_s: NDArray[np.float32] | None = None
+    other_goals: NDArray[np.float32] | None = None
+    other_costs_s: NDArray[np.float32] | None = None
 
     def take(self, index: ArrayLike) -> Samples:
         """Return the frames at `index` (integers, or bool [n]), in that order."""
         chosen = np.arange(len(self.paths))[np.asarray(index)]
+
+        def taken(each: T | None) -> T | None:
+            return None if each is None else each[chosen]
+
         return replace(
             self,
             paths=tuple(self.paths[each] for each in chosen.tolist()),
             steering=self.steering[chosen],
             session=self.session[chosen],
-            goal=None if self.goal is None else self.goal[chosen],
-            moment=None if self.moment is None else self.moment[chosen],
-            turn_costs_s=None if self.turn_costs_s is None else self.turn_costs_s[chosen],
+            goal=taken(self.goal),
+            moment=taken(self.moment),
+            turn_costs_s=taken(self.turn_costs_s),
+            other_goals=taken(self.other_goals),
+            other_costs_s=taken(self.other_costs_s),
         )
 
 
@@ -223,6 +238,9 @@ def _check_alike(recordings: list[Recording]) -> None:
         if other.turns != first.turns:
             problem = f"has {other.turns} turn_costs_s a row, and {first.files[0]} {first.turns}"
             raise InputError(other.files[0], f"{problem}: they cannot be learnt together")
+        if other.other_goals != first.other_goals:
+            problem = f"has {other.other_goals} other_goals_deg a row, and {first.files[0]} {first.other_goals}"
+            raise InputError(other.files[0], f"{problem}: they cannot be learnt together")
 
 
 def _check_apart(recordings: list[Recording]) -> None:
@@ -249,18 +267,26 @@ def _gathered(read: list[tuple[str, Recording]], skipped: int) -> Samples:
                 names[_unused(f"{name}/{frame.session}" if frame.session else name, names)] = None
             session.append(sessions[key])
     frames = [frame for _, recording in read for frame in recording.frames]
-    goal = np.array([frame.goal_rad for frame in frames], np.float32) if read[0][1].has_goal else None
+    first = read[0][1]
+
+    def told(values: Iterable[object], shape: tuple[int, ...], known: bool) -> NDArray[np.float32] | None:
+        return np.array(list(values), np.float32).reshape(len(frames), *shape) if known else None
+
     return Samples(
         paths=tuple(frame.path for frame in frames),
         steering=np.array([frame.steering for frame in frames], np.float32),
-        outputs=read[0][1].outputs,
+        outputs=first.outputs,
         session=np.array(session, np.int32),
         sessions=tuple(names),
-        goal=goal,
+        goal=told((frame.goal_rad for frame in frames), (), first.has_goal),
         skipped=skipped,
         files=tuple(file for _, recording in read for file in recording.files),
         moment=np.array([frame.moment for frame in frames], np.int32),
-        turn_costs_s=np.array([frame.turn_costs_s for frame in frames], np.float32) if read[0][1].turns else None,
+        turn_costs_s=told((frame.turn_costs_s for frame in frames), (first.turns,), first.turns > 0),
+        other_goals=told((each.other_goals_rad for each in frames), (first.other_goals,), first.other_goals > 0),
+        other_costs_s=told(
+            (each.other_costs_s for each in frames), (first.other_goals, first.turns), first.other_goals > 0
+        ),
     )
 
 

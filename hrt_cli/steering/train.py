@@ -200,12 +200,17 @@ class Trainer:
             group["lr"] = rate
         torch.manual_seed(dropout_seed(spec.seed, course.epoch, course.batch))
         half = net.config.half_classes
-        wanted = targets(net.config.outputs, batch.steering, batch.costs, half, spec.sigma, spec.cost_scale_s)
+        costs = None if batch.costs is None else batch.costs.flatten(0, 1)
+        wanted = targets(net.config.outputs, batch.steering, costs, half, spec.sigma, spec.cost_scale_s)
         labels = {name: each.to(device) for name, each in wanted.items()}
         net.train()
         with torch.autocast(device, torch.bfloat16, enabled=self._arithmetic.bf16):
             logits = net(batch.pictures.to(device), None if batch.goal is None else batch.goal.to(device))
-        loss = total_loss(logits, labels, spec.entropy_weight)
+        count = batch.steering.shape[0]
+        own = {name: values.unflatten(0, (count, -1))[:, 0] for name, values in logits.items()}
+        # What the steering of the frame teaches, it teaches about its own goal; costs are known for all.
+        asked = {name: logits[name] if len(labels[name]) > count else own[name] for name in logits}
+        loss = total_loss(asked, labels, spec.entropy_weight)
         n = len(self._training)
         penalty = net.penalty(weight_decay=spec.length_scale**2 / (2.0 * n), dropout_decay=1.0 / n)
         self.optimiser.zero_grad(set_to_none=True)
@@ -215,10 +220,9 @@ class Trainer:
         if not (math.isfinite(value) and math.isfinite(norm.item())):
             raise self._diverged()
         self.optimiser.step()
-        count = batch.steering.shape[0]
         course.batch += 1
         course.loss_sum += value * count
-        course.error_sum += _absolute_error(logits, batch.steering) * count
+        course.error_sum += _absolute_error(own, batch.steering) * count
         self.frames_seen += count
 
     def _measure(self) -> Epoch:
@@ -229,7 +233,7 @@ class Trainer:
         half = net.config.half_classes
         temperature: dict[Output, float] = {}
         probability: dict[Output, NDArray[np.float64]] = {}
-        costs = None if self._validation.costs is None else torch.from_numpy(self._validation.costs)
+        costs = None if self._validation.costs is None else torch.from_numpy(self._validation.costs[:, 0])
         labels = targets(net.config.outputs, steering, costs, half, spec.sigma, spec.cost_scale_s)
         certain = targets(net.config.outputs, steering, costs, half, 0.0, spec.cost_scale_s)
         for name, values in logits.items():

@@ -16,7 +16,7 @@ from hrt_cli.steering.augment import YAW_UNIT_RAD, Augment, augment
 
 PICTURES = np.stack([picture(seed, 20, 32) for seed in range(40)])
 LABELS = np.stack([np.linspace(-0.8, 0.8, 40), np.linspace(-1, 1, 40)], axis=1).astype(np.float32)
-GOALS = np.linspace(-3, 3, 40).astype(np.float32)
+GOALS = np.stack([np.linspace(-3, 3, 40), np.linspace(2, -1, 40)], axis=1).astype(np.float32)
 NONE = Augment.none()
 
 
@@ -67,7 +67,7 @@ def test_shift() -> None:
             source = min(31, max(0, column - dx))
             np.testing.assert_array_equal(pictures[index, :, column], PICTURES[index, :, source])
         away = goals[index] - (GOALS[index] + turn * math.pi / 4)
-        assert math.cos(away) == pytest.approx(1, abs=1e-6)
+        np.testing.assert_allclose(np.cos(away), 1, atol=1e-6)
         seen.add(dx)
     assert min(seen) < -3
     assert max(seen) > 3
@@ -92,7 +92,7 @@ def test_what_is_ahead_moves_right_and_so_does_the_steering() -> None:
 def test_labels_stay_in_range(seed: int) -> None:
     pictures = np.zeros((8, 4, 10, 3), np.uint8)
     labels = np.array([[1, 1], [-1, -1]] * 4, np.float32)
-    goals = np.array([math.pi, -math.pi] * 4, np.float32)
+    goals = np.array([[math.pi], [-math.pi]] * 4, np.float32)
     strengths = dataclasses.replace(NONE, flip=0.5, shift=0.4, shift_gain=3.0)
     _, yaw, goal, _ = augment(pictures, labels, goals, None, strengths, np.random.default_rng(seed))
     assert np.abs(yaw).max() <= 1.0
@@ -174,20 +174,21 @@ def test_white_and_black_do_not_wrap() -> None:
 def test_costs_follow_flips_and_shifts() -> None:
     pictures, steering = np.zeros((40, 8, 32, 3), np.uint8), np.zeros((40, 1), np.float32)
     yaw = np.linspace(-1, 1, 15)
-    costs = np.tile((2.0 * np.abs(yaw - 0.2)).astype(np.float32), (40, 1))
+    costs = np.tile((2.0 * np.abs(yaw - 0.2)).astype(np.float32), (40, 3, 1))
     strengths = dataclasses.replace(NONE, flip=0.5, shift=0.1)
     _, labels, _, found = augment(pictures, steering, None, costs, strengths, np.random.default_rng(2))
     assert found is not None
     assert (found.shape, found.dtype) == (costs.shape, np.float32)
     flipped = 0
-    for turn, each in zip(labels[:, 0], found, strict=True):
-        fits = [
-            np.allclose(each[2:-2], np.interp(sign * (yaw - turn), yaw, costs[0])[2:-2], atol=1e-5) for sign in (1, -1)
-        ]
+    for turn, goals in zip(labels[:, 0], found, strict=True):
+        each = goals[2]
+        np.testing.assert_array_equal(goals, np.tile(each, (3, 1)))
+        right = [np.interp(sign * (yaw - turn), yaw, costs[0, 0]) for sign in (1, -1)]
+        fits = [np.allclose(each[2:-2], wanted[2:-2], atol=1e-5) for wanted in right]
         assert any(fits)
         flipped += fits[1] and not fits[0]
     assert 10 < flipped < 30
-    best = [yaw[int(each.argmin())] for each in found]
+    best = [yaw[int(each[0].argmin())] for each in found]
     assert np.abs(np.abs(np.array(best) - labels[:, 0]) - 0.2).max() < 0.1, "the best turn moves as the label does"
 
 

@@ -23,7 +23,7 @@ def numbered(n: int = 11, goal: bool = False) -> Frames:
     rows = np.arange(2 * n - 2, -1, -2)
     pictures[rows] = np.arange(n, dtype=np.uint8)[:, None, None, None]
     told = np.arange(n, dtype=np.float32) / 100
-    return Frames(pictures, rows, told[:, None], -told if goal else None)
+    return Frames(pictures, rows, told[:, None], -told[:, None] if goal else None)
 
 
 def shown(frames: Frames, *, strengths: Augment | None = None, first: int = 0, epoch: int = 0, seed: int = 0,
@@ -52,7 +52,7 @@ def test_an_epoch_shows_every_frame_once_with_its_own_label_and_goal() -> None:
     assert sorted(numbers(found)) == list(range(11))
     for each in found:
         assert each.goal is not None
-        torch.testing.assert_close(each.goal, -each.steering[:, 0])
+        torch.testing.assert_close(each.goal, -each.steering)
         torch.testing.assert_close(each.pictures[:, 0, 3, 5] * 255 / 100, each.steering[:, 0])
         assert each.pictures.shape[1:] == (3, 32, 32)
         assert each.pictures.is_contiguous(memory_format=torch.channels_last)

@@ -57,11 +57,15 @@ def test_sure_logits_stay_finite() -> None:
     assert float(found) == pytest.approx(0.0, abs=1e-6)
 
 
-def test_outputs_add_up_and_samples_are_averaged_by_weight() -> None:
+def test_outputs_add_up_and_each_is_averaged_over_its_samples() -> None:
     torch.manual_seed(1)
     logits = {"yaw": torch.randn(3, 5), "pitch": torch.randn(3, 5)}
     labels = {name: torch.softmax(torch.randn(3, 5), -1) for name in logits}
     each = steering_loss(logits["yaw"], labels["yaw"], 0.1) + steering_loss(logits["pitch"], labels["pitch"], 0.1)
     torch.testing.assert_close(total_loss(logits, labels, 0.1), each.mean())
-    weight = torch.tensor([1.0, 0.0, 3.0])
-    torch.testing.assert_close(total_loss(logits, labels, 0.1, weight), (each[0] + 3 * each[2]) / 4)
+    few = {"yaw": (logits["yaw"], labels["yaw"]), "pitch": (logits["pitch"][:1], labels["pitch"][:1])}
+    apart = [steering_loss(ours, wanted, 0.1).mean() for ours, wanted in few.values()]
+    found = total_loss(
+        {name: each[0] for name, each in few.items()}, {name: each[1] for name, each in few.items()}, 0.1
+    )
+    torch.testing.assert_close(found, apart[0] + apart[1])

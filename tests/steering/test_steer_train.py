@@ -35,7 +35,7 @@ def posts(n: int, seed: int = 0, goal: bool = False, pitch: bool = False) -> Fra
     for picture, angle in zip(pictures, steering[:, 0], strict=True):
         at = round((angle + 1) / 2 * 27)
         picture[:, at : at + 5] = 220
-    told = (steering[:, 0] * 0.7).astype(np.float32) if goal else None
+    told = (steering[:, :1] * 0.7).astype(np.float32) if goal else None
     return Frames(pictures, np.arange(n), steering, told)
 
 
@@ -52,7 +52,7 @@ def trainer(spec: SteerSpec, config: SteeringConfig = CONFIG, *, frames: int = 2
 
 
 def test_it_learns_what_turns_cost_and_not_the_yaw_beside() -> None:
-    costs = np.tile(np.array([3, 2.5, 2, 1.5, 1, 0, 0.5], np.float32), (24, 1))
+    costs = np.tile(np.array([3, 2.5, 2, 1.5, 1, 0, 0.5], np.float32), (24, 1, 1))
     own = replace(posts(24, 1), steering=np.full((24, 1), -0.9, np.float32), costs=costs)
     spec = SteerSpec(epochs=25, batch=8, learning_rate=0.02, augment=Augment.none(), cost_scale_s=0.25)
     yaws = []
@@ -65,7 +65,7 @@ def test_it_learns_what_turns_cost_and_not_the_yaw_beside() -> None:
 
 
 def test_temperatures_are_fitted_to_the_costs() -> None:
-    own = replace(posts(24, 1), costs=np.zeros((24, 7), np.float32))
+    own = replace(posts(24, 1), costs=np.zeros((24, 1, 7), np.float32))
     learner = Trainer(SteeringNet(CONFIG), own, own, SteerSpec(epochs=1, batch=8), CPU)
     learner.run()
     # Every turn costs the same: the flatter the better.

@@ -1,0 +1,62 @@
+"""`hrt record`: a site becomes steering data without a drive."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from hrt_cli import options as opt
+from hrt_cli.artifacts.stage import Existing
+from hrt_cli.progress import Console
+
+
+@click.command(
+    epilog="""\b
+Example:
+  hrt synth site --scene meadow --size 30
+  hrt record site -o site/glances --frames 200
+  hrt train-steer site/glances -o site/steer.safetensors --size 64x48 --epochs 1
+"""
+)
+@click.argument("world", type=opt.PATH)
+@click.option("-o", "--output", required=True, type=opt.PATH, help="Folder for frames and labels.csv, to train on.")
+@click.option("--frames", type=click.IntRange(1, 1_000_000), default=10_000, show_default=True, help="How many.")
+@click.option(
+    "--near",
+    type=opt.FiniteFloat(0, 1),
+    default=0.8,
+    show_default=True,
+    help="Share of the frames with something in the way: a drive shows mostly open ground.",
+)
+@click.option(
+    "--vehicle", type=click.Choice(["ugv", "auv"]), help="Default: auv where the site is under water, else ugv."
+)
+@opt.seed_opt
+@opt.existing_options
+@opt.console_options
+def record(
+    world: Path,
+    output: Path,
+    frames: int,
+    near: float,
+    vehicle: str | None,
+    seed: int,
+    existing: Existing,
+    console: Console,
+) -> None:
+    """Look from random places of a site and tell how to steer there: steering data without a drive.
+
+    WORLD is a folder with ortho.tif and dsm.tif. Each frame comes with what every turn would cost there on the way to
+    several goals.
+    """
+    from hrt_cli.driving.glance_stage import GlanceRequest, record_folder
+
+    with console.bar("record") as progress:
+        up_to_date = record_folder(
+            world, output, GlanceRequest(frames, near, vehicle, seed), existing=existing, progress=progress
+        )
+    state = " (up to date)" if up_to_date else ""
+    console.result(
+        f"{output}: {frames} frames{state}", {"output": str(output), "up_to_date": up_to_date, "frames": frames}
+    )

@@ -1,0 +1,78 @@
+"""The record stage: a site becomes steering data, without a drive."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+from hrt_cli.artifacts.carriers import json_provenance
+from hrt_cli.artifacts.publish import output_error
+from hrt_cli.artifacts.stage import REFUSE, Existing, ReadProvenance, begin
+from hrt_cli.driving.album import ABOUT, Album, prepare_folder
+from hrt_cli.driving.glances import IN_ONE_WEATHER, Glances
+from hrt_cli.driving.lens import clear_camera
+from hrt_cli.driving.vehicle import VEHICLES
+from hrt_cli.progress import Progress, silent
+from hrt_cli.world.site import load_site, site_files
+
+STAGE = "record"
+STAGE_VERSION = 1
+
+
+@dataclass(frozen=True)
+class GlanceRequest:
+    """What to look at.
+
+    Attributes
+    ----------
+    frames : int
+    near : float
+        Share of them with something in the way, in [0, 1].
+    vehicle : 'ugv', 'auv' or None
+        None: the AUV under water, else the UGV.
+    seed : int
+    """
+
+    frames: int
+    near: float = 0.8
+    vehicle: str | None = None
+    seed: int = 0
+
+
+def record_folder(
+    world: Path, folder: Path, request: GlanceRequest, *, existing: Existing = REFUSE, progress: Progress = silent
+) -> bool:
+    """Look from random places of a site and write the pictures with what they teach (`driving.album`).
+
+    Returns
+    -------
+    up_to_date : bool
+
+    Raises
+    ------
+    InputError
+        The site cannot be used.
+    ArgumentError
+        It has no such places.
+    OutputError
+        The folder is not one for a recording, or see `hrt_cli.artifacts.stage.begin`.
+    """
+    inputs = site_files(world)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise output_error(folder, error) from error
+    outputs: dict[Path, ReadProvenance] = {folder / ABOUT: json_provenance}
+    job = begin(STAGE, STAGE_VERSION, inputs=inputs, parameters=asdict(request), outputs=outputs, existing=existing)
+    if job.up_to_date:
+        return True
+    site = load_site(world)
+    vehicle = VEHICLES[request.vehicle or ("auv" if site.under_water else "ugv")]
+    glances = Glances(site, vehicle, request.near, request.seed)
+    prepare_folder(folder, list(inputs.values()), overwrite=existing.overwrite or existing.force)
+    album = Album(folder, vehicle.kind, clear_camera(site, vehicle).lens)
+    for number, (rgb, lesson) in enumerate(glances(request.frames)):
+        album.add(rgb, lesson, f"{folder.name}-{request.seed}-{number // IN_ONE_WEATHER}")
+        progress(number + 1, request.frames)
+    album.finish(job.provenance)
+    return False
