@@ -34,6 +34,8 @@ def put_labels(
     sessions: Sequence[str] | None = None,
     goals_deg: Sequence[float] | None = None,
     costs_s: Sequence[str] | None = None,
+    other_goals_deg: Sequence[str] | None = None,
+    other_costs_s: Sequence[str] | None = None,
 ) -> Path:
     """A recording of hrt."""
     columns = {"image": [f"frames/{n:06d}.jpg" for n in range(len(yaws))], "yaw": yaws}
@@ -41,6 +43,8 @@ def put_labels(
     columns |= {"session": sessions} if sessions is not None else {}
     columns |= {"goal_deg": goals_deg} if goals_deg is not None else {}
     columns |= {"turn_costs_s": costs_s} if costs_s is not None else {}
+    columns |= {"other_goals_deg": other_goals_deg} if other_goals_deg is not None else {}
+    columns |= {"other_costs_s": other_costs_s} if other_costs_s is not None else {}
     for number, name in enumerate(columns["image"]):
         put_picture(folder / str(name), seed=number)
     rows = [",".join(columns), *(",".join(map(str, row)) for row in zip(*columns.values(), strict=True))]

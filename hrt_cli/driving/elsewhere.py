@@ -11,7 +11,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from hrt_cli.driving.field import CostMap, is_clear, ways_to
+from hrt_cli.driving.field import Cell, CostMap, is_clear, march_to
 from hrt_cli.driving.goal import AHEAD_M
 from hrt_cli.driving.local import Pose
 from hrt_cli.driving.turns import turn_costs
@@ -49,7 +49,7 @@ class Elsewhere:
         """Return random goals about a pose; None where there is no way to any."""
         bearings: list[float] = []
         costs: list[NDArray[np.float64]] = []
-        for bearing in self._bearings(_TRIES * count, rng):
+        for bearing in random_bearings(_TRIES * count, rng):
             if len(bearings) == count:
                 break
             found = self._costs(pose, bearing, rng.uniform(_NEAREST_M, AHEAD_M))
@@ -62,31 +62,34 @@ class Elsewhere:
         again = np.arange(count) % len(bearings)
         return np.array(bearings)[again], np.array(costs)[again]
 
-    def blocked(self, pose: Pose, count: int, rng: np.random.Generator) -> float:
-        """Return the share of random goals about a pose that the robot cannot go straight to."""
-        clear = 0
-        for bearing in self._bearings(count, rng):
-            at = _place(pose, bearing, AHEAD_M)
-            clear += is_clear(self._map.cost, self._map.cell_m, pose.east_m, pose.south_m, *at)
-        return 1.0 - clear / count
-
-    def _bearings(self, count: int, rng: np.random.Generator) -> list[float]:
-        drawn = rng.normal(0.0, _SPREAD_RAD, count).clip(-_WIDEST_RAD, _WIDEST_RAD)
-        return [float(each) for each in drawn]
+    def is_straight(self, pose: Pose, place: tuple[float, float]) -> bool:
+        """Whether a robot can go straight to a place, east_m and south_m."""
+        return bool(is_clear(self._map.cost, self._map.cell_m, pose.east_m, pose.south_m, *place))
 
     def _costs(self, pose: Pose, bearing_rad: float, away_m: float) -> NDArray[np.float64] | None:
         costs = self._map
-        cell = costs.nearest_passable(*_place(pose, bearing_rad, away_m), _ASIDE_M)
+        cell = costs.nearest_passable(*place_at(pose, bearing_rad, away_m), _ASIDE_M)
+        return None if cell is None else self.costs(pose, cell, _DEAREST_S)
+
+    def costs(self, pose: Pose, cell: Cell, limit_s: float) -> NDArray[np.float64] | None:
+        """Return what each turn costs on the way to a cell; None where no way costs less than a limit, at 1 m/s."""
+        costs = self._map
         here = costs.nearest_passable(pose.east_m, pose.south_m, _ASIDE_M)
-        if cell is None or here is None:
+        if here is None:
             return None
-        cost = ways_to(costs.cost, costs.cell_m, *cell, *here, _DEAREST_S, _BEYOND_S, self._to_go)
+        cost = march_to(costs.cost, costs.cell_m, *cell, *here, limit_s, _BEYOND_S, self._to_go)
         if not math.isfinite(cost):
             return None
         return turn_costs(costs, self._to_go, self._vehicle, self._cruise_m_s, pose)
 
 
-def _place(pose: Pose, bearing_rad: float, away_m: float) -> tuple[float, float]:
+def place_at(pose: Pose, bearing_rad: float, away_m: float) -> tuple[float, float]:
     """Return the place so far off in a direction seen from the robot, east_m and south_m."""
     heading = pose.heading_rad + bearing_rad
     return pose.east_m + away_m * math.sin(heading), pose.south_m - away_m * math.cos(heading)
+
+
+def random_bearings(count: int, rng: np.random.Generator) -> list[float]:
+    """Return bearings of goals, in radians: mostly ahead."""
+    drawn = rng.normal(0.0, _SPREAD_RAD, count).clip(-_WIDEST_RAD, _WIDEST_RAD)
+    return [float(each) for each in drawn]

@@ -19,7 +19,7 @@ _TARGET_M = 1.3
 _REACHED_M = 0.35
 _DEAR, _LONGEST_SKIP_M = 8.0, 8.0
 """Ground that costs more a metre (slower than an eighth, or along an obstacle) is gone round, if it is no wider."""
-_LONGEST_DETOUR_S = 150.0
+LONGEST_DETOUR_S = 150.0
 """Cost, in seconds at 1 m/s, beyond which it leaves a place out and goes for a later one."""
 MUCH_DEARER = 2.0
 """It does not go straight over ground so many times dearer than where it is and where it goes."""
@@ -42,8 +42,6 @@ class GroundExpert:
     name = "expert"
     reach_cells: tuple[int, ...] = (5, 4, 3, 2, 1)
     """How far down its way it aims: the farthest of these that it can go straight to."""
-    beyond_s = 0.0
-    """How much dearer than that of where it is the ways are that it finds out, too."""
 
     def __init__(self, site: Site, course: Course, vehicle: Vehicle) -> None:
         self._course = course
@@ -116,14 +114,13 @@ class GroundExpert:
 
     def _search(self, cell: Cell, here: Cell) -> bool:
         """Find the ways to a cell, as far as the robot, or say that there is none from where it is."""
-        limits = _LONGEST_DETOUR_S, self.beyond_s
-        cost = ways_to(self._map.cost, self._map.cell_m, *cell, *here, *limits, self._to_go)
+        cost = ways_to(self._map.cost, self._map.cell_m, *cell, *here, LONGEST_DETOUR_S, self._to_go)
         return math.isfinite(cost)
 
     def _reach(self, here: Cell) -> NDArray[np.float32]:
         """Return what it costs to get to each cell, infinite where it cannot be reached."""
         found = np.empty_like(self._to_go)
-        ways_to(self._map.cost, self._map.cell_m, *here, -1, -1, _LONGEST_DETOUR_S, 0.0, found)
+        ways_to(self._map.cost, self._map.cell_m, *here, -1, -1, LONGEST_DETOUR_S, found)
         return found
 
     def _aim(self, pose: Pose, here: Cell) -> tuple[float, float]:

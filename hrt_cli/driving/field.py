@@ -28,6 +28,8 @@ _LEAST_SPARE_M = 0.02
 _COMFORT_M = 0.8
 """Nearer to an obstacle than its radius and this, a robot pays for it: up to `_FEAR` times the way."""
 _FEAR = 6.0
+_DEAREST = 50.0
+"""What a metre of a way counts at most."""
 _SPARE_DEPTH_M = 0.4
 """Water over an AUV's own height that it wants."""
 
@@ -129,13 +131,12 @@ def ways_to(
     until_row: int,
     until_col: int,
     limit: float,
-    margin: float,
     to_go: NDArray[np.float32],
 ) -> float:
     """Fill `to_go` [rows, cols] with the costs of the cheapest ways to (row, col); return that of the cell asked for.
 
-    Infinite where it was not found out: the search ends when the cost exceeds `limit`, or that of the cell asked for by
-    more than `margin`. A way goes between 8 neighbours; a diagonal passes no corner that is blocked.
+    Infinite where it was not found out: the search ends with the cell asked for, or when the cost exceeds `limit`. A
+    way goes between 8 neighbours; a diagonal passes no corner that is blocked.
     """
     rows, cols = cost.shape
     to_go[:] = np.inf
@@ -149,7 +150,7 @@ def ways_to(
         if done > limit:
             break
         if r == until_row and c == until_col:
-            limit = min(limit, float(done) + margin)
+            break
         for dr in range(-1, 2):
             for dc in range(-1, 2):
                 nr, nc = r + dr, c + dc
@@ -159,14 +160,91 @@ def ways_to(
                     continue
                 if dr != 0 and dc != 0 and not (np.isfinite(cost[r, nc]) and np.isfinite(cost[nr, c])):
                     continue
-                here = min(cost[r, c], np.float32(50.0))
-                there = min(cost[nr, nc], np.float32(50.0))
+                here = min(cost[r, c], np.float32(_DEAREST))
+                there = min(cost[nr, nc], np.float32(_DEAREST))
                 length = cell_m * (math.sqrt(2.0) if dr != 0 and dc != 0 else 1.0)
                 new = np.float32(done + 0.5 * (here + there) * length)
                 if new < to_go[nr, nc]:
                     to_go[nr, nc] = new
                     heapq.heappush(heap, (new, nr * cols + nc))
     return float(to_go[until_row, until_col])
+
+
+_STRAIGHT, _ALIKE = (20, 14, 8, 4, 2), 1.3
+"""A march begins with straight ways, over as many cells to every side of the place as differ by this factor at most:
+its first steps would be its worst."""
+
+
+@kernel
+def march_to(
+    cost: NDArray[np.float32],
+    cell_m: float,
+    row: int,
+    col: int,
+    until_row: int,
+    until_col: int,
+    limit: float,
+    margin: float,
+    to_go: NDArray[np.float32],
+) -> float:
+    """Likewise by fast marching (Sethian 1996): ways lead in any direction, whatever that of the grid.
+
+    Between 8 neighbours a way is up to 8 % too long, by the compass. See `ways_to`; this search goes on until
+    the cost exceeds that of the cell asked for by more than `margin`, and some costs beyond that are known, too.
+    """
+    rows, cols = cost.shape
+    to_go[:] = np.inf
+    to_go[row, col] = 0.0
+    heap = [(np.float32(0.0), row * cols + col)]
+    for reach in _STRAIGHT:
+        r0, r1, c0, c1 = row - reach, row + reach, col - reach, col + reach
+        if r0 < 0 or c0 < 0 or r1 >= rows or c1 >= cols:
+            continue
+        about = cost[r0 : r1 + 1, c0 : c1 + 1]
+        if about.max() > min(_ALIKE * about.min(), _DEAREST):
+            continue
+        for r in range(r0, r1 + 1):
+            for c in range(c0, c1 + 1):
+                if r != row or c != col:
+                    to_go[r, c] = 0.5 * (cost[row, col] + cost[r, c]) * cell_m * math.hypot(r - row, c - col)
+                    heapq.heappush(heap, (to_go[r, c], r * cols + c))
+        break
+    last = limit
+    while heap:
+        done, at = heapq.heappop(heap)
+        r, c = at // cols, at % cols
+        if done > to_go[r, c]:
+            continue
+        if done > last:
+            break
+        if r == until_row and c == until_col:
+            last = min(limit, float(done) + margin)
+        for k in range(4):
+            nr, nc = r + (k == 0) - (k == 1), c + (k == 2) - (k == 3)
+            if nr < 0 or nc < 0 or nr >= rows or nc >= cols or to_go[nr, nc] <= done:
+                continue
+            if not np.isfinite(cost[nr, nc]) and not (nr == until_row and nc == until_col):
+                continue
+            # Only what is settled, and so not above `done`, counts.
+            down, right = np.inf, np.inf
+            if nr > 0 and to_go[nr - 1, nc] <= done:
+                down = float(to_go[nr - 1, nc])
+            if nr + 1 < rows and to_go[nr + 1, nc] <= done:
+                down = min(down, float(to_go[nr + 1, nc]))
+            if nc > 0 and to_go[nr, nc - 1] <= done:
+                right = float(to_go[nr, nc - 1])
+            if nc + 1 < cols and to_go[nr, nc + 1] <= done:
+                right = min(right, float(to_go[nr, nc + 1]))
+            step = cell_m * float(min(cost[nr, nc], np.float32(_DEAREST)))
+            if abs(down - right) < step:
+                new = np.float32(0.5 * (down + right + math.sqrt(2.0 * step * step - (down - right) ** 2)))
+            else:
+                new = np.float32(min(down, right) + step)
+            if new < to_go[nr, nc]:
+                to_go[nr, nc] = new
+                heapq.heappush(heap, (new, nr * cols + nc))
+    asked = float(to_go[until_row, until_col])
+    return asked if asked <= limit else math.inf
 
 
 @kernel

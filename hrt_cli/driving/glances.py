@@ -15,8 +15,9 @@ from scipy import ndimage
 
 from hrt_cli.driving.album import Lesson
 from hrt_cli.driving.climb import climb_rad
-from hrt_cli.driving.elsewhere import GOALS, Elsewhere, Goals
+from hrt_cli.driving.elsewhere import GOALS, Elsewhere, Goals, place_at, random_bearings
 from hrt_cli.driving.field import cost_map, rim_distance, water_map
+from hrt_cli.driving.goal import AHEAD_M
 from hrt_cli.driving.lens import camera_of, look
 from hrt_cli.driving.local import Pose
 from hrt_cli.driving.motion import sample
@@ -92,13 +93,20 @@ class Glances:
     def _place(self, near: bool, rng: np.random.Generator) -> tuple[Pose, Goals]:
         for _ in range(_TRIES):
             pose = self._pose(rng)
-            if pose is None or (self._elsewhere.blocked(pose, _ASKED, rng) >= _BLOCKED) != near:
+            if pose is None or self._is_near(pose, rng) != near:
                 continue
             goals = self._elsewhere.goals(pose, 1 + GOALS, rng)
             if goals is not None:
                 return pose, goals
         what = "something in the way" if near else "a free way to its goals"
         raise ArgumentError(f"of {_TRIES} random places none has {what} and a way to any goal: take another share")
+
+    def _is_near(self, pose: Pose, rng: np.random.Generator) -> bool:
+        """Whether something is in the way of the robot, the rim aside: no goal lies beyond that."""
+        places = [place_at(pose, bearing, AHEAD_M) for bearing in random_bearings(_ASKED, rng)]
+        inside = [place for place in places if sample(self._room, self._site.pixel_m, *place) > 0]
+        blocked = sum(not self._elsewhere.is_straight(pose, place) for place in inside)
+        return blocked >= max(1.0, _BLOCKED * len(inside))
 
     def _pose(self, rng: np.random.Generator) -> Pose | None:
         """Return a random pose; None where the robot may not be there."""

@@ -11,12 +11,11 @@ from numpy.typing import NDArray
 
 from hrt_cli.driving.course import Course
 from hrt_cli.driving.elsewhere import GOALS, Elsewhere, Goals
-from hrt_cli.driving.expert import MUCH_DEARER, GroundExpert, WaterExpert
+from hrt_cli.driving.expert import LONGEST_DETOUR_S, MUCH_DEARER, GroundExpert, WaterExpert
 from hrt_cli.driving.field import Cell, is_clear
 from hrt_cli.driving.goal import Goal
 from hrt_cli.driving.local import Command, Pose
 from hrt_cli.driving.simulator import Setting
-from hrt_cli.driving.turns import turn_costs
 from hrt_cli.driving.vehicle import Vehicle
 from hrt_cli.world.site import Site
 
@@ -38,11 +37,10 @@ class GroundTeacher(GroundExpert):
 
     name = "teacher"
     reach_cells = (12, 10, 8, 6, 5, 4, 3, 2, 1)
-    beyond_s = 4.0
 
     def __init__(self, site: Site, course: Course, vehicle: Vehicle, cruise_m_s: float) -> None:
         super().__init__(site, course, vehicle)
-        self._goal, self._robot, self._cruise_m_s = Goal(course), vehicle, cruise_m_s
+        self._goal = Goal(course)
         self._elsewhere = Elsewhere(self._map, vehicle, cruise_m_s)
         self.bearing_rad = 0.0
 
@@ -61,7 +59,9 @@ class GroundTeacher(GroundExpert):
         command = self.steer(pose)
         if command is None:
             return None
-        return command, turn_costs(self._map, self._to_go, self._robot, self._cruise_m_s, pose)
+        assert self._target is not None
+        costs = self._elsewhere.costs(pose, self._map.cell(*self._target), LONGEST_DETOUR_S)
+        return None if costs is None else (command, costs)
 
     def others(self, pose: Pose, rng: np.random.Generator) -> Goals | None:
         """Return other goals, and what turns cost on the way to them; None: no way to any."""

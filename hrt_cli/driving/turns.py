@@ -123,12 +123,13 @@ def _between(to_go: NDArray[np.float32], cell_m: float, east_m: float, south_m: 
 
 @kernel
 def _way_on(to_go: NDArray[np.float32], cell_m: float, east_m: float, south_m: float, otherwise: float) -> float:
-    """Return the bearing in which least is to go, a little way off."""
-    least, found = math.inf, 0.0
+    """Return the bearing in which least is to go, a little way off: of a parabola through the best three looked at."""
+    left = np.empty(_BEARINGS)
     for k in range(_BEARINGS):
         bearing = k * 2.0 * math.pi / _BEARINGS
         east, south = east_m + _WAY_ON_M * math.sin(bearing), south_m - _WAY_ON_M * math.cos(bearing)
-        left = _between(to_go, cell_m, east, south, otherwise)
-        if left < least:
-            least, found = left, bearing
-    return found
+        left[k] = _between(to_go, cell_m, east, south, otherwise)
+    best = int(left.argmin())
+    before, after = left[best - 1] - left[best], left[(best + 1) % _BEARINGS] - left[best]
+    aside = 0.5 * (before - after) / (before + after) if before + after > 1e-9 else 0.0
+    return (best + aside) * 2.0 * math.pi / _BEARINGS

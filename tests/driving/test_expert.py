@@ -65,7 +65,7 @@ def goals(site: Site, rng: np.random.Generator) -> list[tuple[float, float]] | N
     for _ in range(30):
         (r0, c0), (r1, c1) = free[rng.integers(len(free), size=2)]
         far = math.hypot(r1 - r0, c1 - c0) * made.cell_m
-        if far > 7 and math.isfinite(ways_to(made.cost, made.cell_m, r1, c1, r0, c0, 60.0, 0.0, to_go)):
+        if far > 7 and math.isfinite(ways_to(made.cost, made.cell_m, r1, c1, r0, c0, 60.0, to_go)):
             parts = np.linspace(0, 1, max(2, round(far)))[:, None]
             ends = (np.array([[c0, r0], [c1, r1]]) + 0.5) * made.cell_m
             return [tuple(place) for place in (1 - parts) * ends[0] + parts * ends[1]]

@@ -10,11 +10,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
+from scipy import ndimage
 from scipy.sparse import lil_array
 from scipy.sparse.csgraph import dijkstra
 from world_files import ground_site
 
-from hrt_cli.driving.field import cost_map, follow, is_clear, ways_to
+from hrt_cli.driving.field import cost_map, follow, is_clear, march_to, ways_to
 
 CELL_M = 0.2
 EIGHT = [step for step in itertools.product((-1, 0, 1), repeat=2) if step != (0, 0)]
@@ -29,7 +30,7 @@ def random_cost(seed: int, rows: int, cols: int, blocked: float) -> NDArray[np.f
 
 def ways(cost: NDArray[np.float32], to: tuple[int, int], until=(-1, -1), limit=math.inf) -> NDArray[np.float32]:
     out = np.empty_like(cost)
-    ways_to(cost, CELL_M, *to, *until, limit, 0.0, out)
+    ways_to(cost, CELL_M, *to, *until, limit, out)
     return out
 
 
@@ -55,19 +56,6 @@ def by_scipy(cost: NDArray[np.float32], to: tuple[int, int]) -> NDArray[np.float
     return dijkstra(graph.tocsr(), indices=to[0] * cols + to[1]).reshape(rows, cols)
 
 
-def test_ways_beyond_the_one_asked_for() -> None:
-    cost = random_cost(5, 9, 9, 0.2)
-    cost[4, 4] = cost[4, 5] = 2.0
-    whole, out = by_scipy(cost, (4, 4)), np.empty_like(cost)
-    asked = ways_to(cost, CELL_M, 4, 4, 4, 5, math.inf, 1.5, out)
-    within = whole <= asked + 1.5 - 1e-5
-    assert 3 < within.sum() < cost.size
-    np.testing.assert_allclose(out[within], whole[within], rtol=1e-5)
-    ways_to(cost, CELL_M, 4, 4, 4, 5, math.inf, 0.0, out)
-    assert np.isfinite(out).sum() < within.sum() + 20
-    assert not np.isfinite(out[within]).all()
-
-
 @settings(max_examples=40)
 @given(
     seed=st.integers(0, 9999), rows=st.integers(1, 9), cols=st.integers(1, 9), blocked=st.sampled_from([0, 0.2, 0.5])
@@ -79,6 +67,75 @@ def test_costs_are_those_of_dijkstra(seed: int, rows: int, cols: int, blocked: f
         return
     to = tuple(map(int, free[seed % len(free)]))
     np.testing.assert_allclose(ways(cost, to), by_scipy(cost, to), rtol=1e-4)
+
+
+def march(cost: NDArray[np.float32], to: tuple[int, int], until=(-1, -1), limit=math.inf, margin=0.0):
+    out = np.empty_like(cost)
+    return march_to(cost, CELL_M, *to, *until, limit, margin, out), out
+
+
+def test_a_march_over_level_ground_is_as_the_crow_flies() -> None:
+    _, found = march(np.full((61, 61), 2.0, np.float32), (30, 30))
+    row, col = np.mgrid[:61, :61] - 30
+    away = 2.0 * CELL_M * np.hypot(row, col)
+    far = np.hypot(row, col) >= 5
+    error = (found - away)[far] / away[far]
+    assert error.min() > -1e-5
+    assert error.max() < 0.01
+    assert (by_scipy(np.ones((61, 61), np.float32), (30, 30))[far] * 2 / away[far]).max() > 1.08
+
+
+def test_a_march_round_a_wall_takes_the_shortest_way() -> None:
+    cost = np.ones((41, 41), np.float32)
+    cost[20, 5:36] = np.inf
+    _, found = march(cost, (10, 20))
+    shortest = CELL_M * (math.hypot(10, 16) + math.hypot(10, 16))  # round the wall's end, to the mirrored place
+    assert shortest <= found[30, 20] < 1.06 * shortest
+    assert np.isinf(found[20, 5:36]).all()
+
+
+@settings(max_examples=40)
+@given(seed=st.integers(0, 9999), blocked=st.sampled_from([0, 0.2, 0.5]))
+def test_a_march_gets_where_four_neighbours_lead_and_is_never_longer(seed: int, blocked: float) -> None:
+    cost = random_cost(seed, 12, 14, blocked)
+    free = np.argwhere(np.isfinite(cost))
+    to = tuple(map(int, free[seed % len(free)]))
+    _, found = march(cost, to)
+    pieces, _ = ndimage.label(np.isfinite(cost))
+    np.testing.assert_array_equal(np.isfinite(found), pieces == pieces[to])
+    least = np.nanmin(np.where(np.isfinite(cost), cost, np.nan))
+    away = CELL_M * np.hypot(*(np.indices(cost.shape) - np.array(to)[:, None, None]))
+    reached = np.isfinite(found)
+    assert (found[reached] >= least * away[reached] * (1 - 1e-5)).all()
+    # Along rows and columns alone, each step at the cost of where it leads, it is no shorter.
+    steps = lil_array((cost.size, cost.size))
+    for row, col in np.argwhere(np.isfinite(cost)):
+        for dr, dc in ((0, 1), (1, 0), (0, -1), (-1, 0)):
+            r, c = row + dr, col + dc
+            if 0 <= r < cost.shape[0] and 0 <= c < cost.shape[1] and np.isfinite(cost[r, c]):
+                steps[row * cost.shape[1] + col, r * cost.shape[1] + c] = CELL_M * cost[r, c]
+    by_steps = dijkstra(steps.tocsr(), indices=to[0] * cost.shape[1] + to[1]).reshape(cost.shape)
+    assert (found[reached] <= by_steps[reached] + 8.0 * 3 * CELL_M).all()
+
+
+def test_a_march_ends_at_its_limit_and_beyond_what_was_asked_for_at_its_margin() -> None:
+    cost = np.ones((9, 60), np.float32)
+    asked, found = march(cost, (4, 5), (4, 20), margin=0.5)
+    assert asked == pytest.approx(3.0, rel=0.01)
+    assert np.isfinite(found[4, 22])
+    assert np.isinf(found[4, 25])
+    for to in ((4, 8), (4, 30)):  # among the straight ways of the beginning, and beyond
+        assert math.isinf(march(cost, (4, 5), to, limit=0.5)[0])
+
+
+def test_a_march_ends_in_a_robot_on_blocked_ground() -> None:
+    cost = np.ones((31, 31), np.float32)
+    cost[13:18, 13:18] = np.inf
+    cost[14, 15] = 1.0
+    cost[13, 15] = 1.0
+    asked, found = march(cost, (5, 15), (15, 15))
+    assert math.isfinite(asked)
+    assert np.isinf(found[16, 15])
 
 
 @settings(max_examples=40)
@@ -107,9 +164,9 @@ def test_following_leads_down_to_the_place(seed: int, blocked: float) -> None:
 def test_the_search_ends_at_what_was_asked_for_and_at_its_limit() -> None:
     cost = np.ones((1, 50), np.float32)
     to_go = np.empty_like(cost)
-    assert ways_to(cost, CELL_M, 0, 0, 0, 10, math.inf, 0.0, to_go) == pytest.approx(2.0, rel=1e-5)
+    assert ways_to(cost, CELL_M, 0, 0, 0, 10, math.inf, to_go) == pytest.approx(2.0, rel=1e-5)
     assert np.isinf(to_go[0, 12:]).all()
-    assert math.isinf(ways_to(cost, CELL_M, 0, 0, 0, 49, 3.0, 0.0, to_go))
+    assert math.isinf(ways_to(cost, CELL_M, 0, 0, 0, 49, 3.0, to_go))
     assert np.isfinite(to_go[0, :15]).all()
 
 
@@ -117,7 +174,7 @@ def test_a_robot_on_blocked_ground_finds_out_of_it() -> None:
     cost = np.ones((9, 9), np.float32)
     cost[4, 4] = np.inf
     to_go = np.empty_like(cost)
-    assert math.isfinite(ways_to(cost, CELL_M, 0, 4, 4, 4, math.inf, 0.0, to_go))
+    assert math.isfinite(ways_to(cost, CELL_M, 0, 4, 4, 4, math.inf, to_go))
     assert follow(to_go, cost, 4, 4, 1) != (4, 4)
 
 

@@ -15,9 +15,10 @@ from world_files import ground_site, map_xy, put_plan, put_world
 
 from hrt_cli.artifacts.carriers import json_provenance
 from hrt_cli.artifacts.stage import Existing
+from hrt_cli.driving.album import ABOUT, FRAMES, LABELS, prepare_folder
 from hrt_cli.driving.course import Course
 from hrt_cli.driving.local import Command, Pose
-from hrt_cli.driving.record import ABOUT, EVERY_S, FRAMES, LABELS, Recorder, prepare_folder
+from hrt_cli.driving.record import EVERY_S, Recorder
 from hrt_cli.driving.simulator import Setting, simulate
 from hrt_cli.driving.stage import DriveRequest, DriveSummary, drive_file
 from hrt_cli.driving.teacher import teacher_of
@@ -26,6 +27,7 @@ from hrt_cli.errors import OutputError
 from hrt_cli.main import cli
 
 ROWS, COLS = 80, 120  # 8 m by 12 m
+OTHERS = ["other_goals_deg", "other_costs_s"]
 
 
 @pytest.fixture(scope="module")
@@ -66,7 +68,7 @@ def test_frames_and_labels_of_a_ground_robot(world: Path, plan: Path, tmp_path: 
     found = drive(plan, world, folder, local=local, seed=3)
     assert found.end == "arrived"
     rows = labels(folder)
-    assert list(rows[0]) == ["image", "yaw", "session", "goal_deg", "turn_costs_s"]
+    assert list(rows[0]) == ["image", "yaw", "session", "goal_deg", "turn_costs_s", *OTHERS]
     assert len(rows) == pytest.approx(found.duration_s / EVERY_S, abs=2)
     assert [row["image"] for row in rows] == [f"{FRAMES}/{k:06d}.jpg" for k in range(len(rows))]
     assert sorted(p.name for p in (folder / FRAMES).iterdir()) == [f"{k:06d}.jpg" for k in range(len(rows))]
@@ -94,7 +96,7 @@ def test_frames_and_labels_of_a_ground_robot(world: Path, plan: Path, tmp_path: 
 def test_a_divers_labels_have_a_pitch(reef: Path, plan: Path, tmp_path: Path) -> None:
     drive(plan, reef, tmp_path / "rec", local="expert")
     rows = labels(tmp_path / "rec")
-    assert list(rows[0]) == ["image", "yaw", "pitch", "session", "goal_deg", "turn_costs_s"]
+    assert list(rows[0]) == ["image", "yaw", "pitch", "session", "goal_deg", "turn_costs_s", *OTHERS]
     pitch = np.array([float(row["pitch"]) for row in rows])
     assert (np.abs(pitch) <= 1).all()
     assert pitch.max() > 0.1, "the bottom rises"
@@ -120,7 +122,7 @@ def test_labels_are_the_experts_whoever_drives(tmp_path: Path, off_deg: float, s
     course = Course(np.array([[2.0, 8.0], [14.0, 8.0]]))
     setting = Setting(site, UGV, course, 1.0, 8.0, math.radians(90.0 + off_deg), 0)
     prepare_folder(tmp_path / "rec", [], overwrite=False)
-    recorder = Recorder(setting, teacher_of(setting), tmp_path / "rec")
+    recorder = Recorder(setting, teacher_of(setting), tmp_path / "rec", "rec")
     seen: list[tuple[float, Command]] = []
 
     def watch(time_s: float, known: Pose, true: Pose, command: Command) -> None:
@@ -131,7 +133,7 @@ def test_labels_are_the_experts_whoever_drives(tmp_path: Path, off_deg: float, s
     assert found.end == "out of time"
     assert abs(seen[-1][0] - 8.0) > 1.5
     assert {command.yaw for _, command in seen} == {0.0}
-    yaw = [float(seen.split(",")[1]) for seen, _ in recorder._rows]
+    yaw = [float(row.split(",")[1]) for row in recorder._album._rows]
     assert len(yaw) >= 14
     assert all(side * each > 0.15 for each in yaw[2:])
 
@@ -151,10 +153,10 @@ def test_where_the_expert_sees_no_way_on_nothing_is_taught(tmp_path: Path) -> No
     site = ground_site(obstacle)
     setting = Setting(site, UGV, Course(np.array([[2.0, 8.0], [14.0, 8.0]])), 1.0, 4.0, math.pi / 2, 0)
     prepare_folder(tmp_path / "rec", [], overwrite=False)
-    recorder = Recorder(setting, teacher_of(setting), tmp_path / "rec")
+    recorder = Recorder(setting, teacher_of(setting), tmp_path / "rec", "rec")
     pose = Pose(11.0, 8.0, 0.0, math.pi / 2, 0.0)  # in the midst of it
     recorder.watch(0.0, pose, pose, Command(0.0))
-    assert recorder._rows == []
+    assert len(recorder._album) == 0
     assert not list((tmp_path / "rec" / FRAMES).iterdir())
 
 

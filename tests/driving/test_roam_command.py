@@ -124,7 +124,7 @@ def test_a_recording_of_a_roaming_robot_says_where_it_had_to_go(tmp_path: Path) 
     folder = tmp_path / "frames"
     roam(world, tmp_path / "d.jsonl", "--disturb", 0.4, "--record", folder, "--seed", 5)
     rows = rows_of(folder)
-    assert list(rows[0]) == ["image", "yaw", "session", "goal_deg", "turn_costs_s"]
+    assert list(rows[0]) == ["image", "yaw", "session", "goal_deg", "turn_costs_s", "other_goals_deg", "other_costs_s"]
     assert len(rows) == len(list((folder / "frames").iterdir())) > 15
     assert {row["session"] for row in rows} == {"d-5"}
     goal = np.array([float(row["goal_deg"]) for row in rows])

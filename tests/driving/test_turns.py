@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from hrt_cli.driving.field import CostMap, ways_to
+from hrt_cli.driving.field import CostMap, march_to
 from hrt_cli.driving.local import Pose
 from hrt_cli.driving.turns import ANGLES, WORST_S, turn_costs
 from hrt_cli.driving.vehicle import UGV
@@ -30,7 +30,7 @@ def costs_from(
         cost[blocked] = np.inf
     made, to_go = CostMap(cost, CELL_M), np.empty_like(cost)
     here = made.cell(east, south)
-    assert math.isfinite(ways_to(cost, CELL_M, *made.cell(*goal), *here, 99.0, 4.0, to_go)) or blocked is not None
+    assert math.isfinite(march_to(cost, CELL_M, *made.cell(*goal), *here, 99.0, 4.0, to_go)) or blocked is not None
     return turn_costs(made, to_go, UGV, 1.0, Pose(east, south, 0.0, math.radians(heading_deg), 0.0))
 
 
@@ -48,6 +48,21 @@ def test_it_turns_to_the_side_of_the_goal(heading_deg: float, side: float) -> No
     found = costs_from(6.1, 9.0, heading_deg)
     assert side * ANGLES[int(found.argmin())] > 0.4
     assert found[0 if side > 0 else -1] > 1.0
+
+
+@pytest.mark.parametrize("bearing_deg", [-70.0, -20.0, 0.0, 35.0])
+def test_on_open_ground_it_does_not_depend_on_the_compass(bearing_deg: float) -> None:
+    found = []
+    for heading_deg in range(0, 360, 15):
+        to = math.radians(heading_deg + bearing_deg)
+        # The goal is the middle of a cell.
+        east, south = 6.1 - 3.0 * math.sin(to), 6.1 + 3.0 * math.cos(to)
+        found.append(costs_from(east, south, heading_deg, goal=(6.1, 6.1)))
+    spread = np.ptp(np.array(found), axis=0)
+    assert spread.max() < 0.25
+    assert np.median(spread) < 0.1
+    best = ANGLES[np.mean(found, axis=0).argmin()]
+    assert best == 0.0 if bearing_deg == 0 else best * bearing_deg > 0
 
 
 def test_what_leads_into_an_obstacle_is_dear_and_left_is_as_good_as_right() -> None:

@@ -264,6 +264,58 @@ class TestTurnCosts:
             read_samples([tmp_path / "a", tmp_path / "b"])
 
 
+class TestOtherGoals:
+    def put(self, folder: Path, goals: list[str] | None, costs: list[str] | None) -> None:
+        own = {"goals_deg": [1, 2], "costs_s": ["0 1 2"] * 2}
+        put_labels(folder, [0, 0.5], other_goals_deg=goals, other_costs_s=costs, **own)
+
+    def test_read(self, tmp_path: Path) -> None:
+        self.put(tmp_path, ["90 -180", "0 45.0"], ["0 1 2 3 4 5", "5 4 3 2 1 0"])
+        samples = read_samples([tmp_path])
+        assert samples.other_goals is not None
+        assert samples.other_costs_s is not None
+        np.testing.assert_allclose(np.degrees(samples.other_goals), [[90, -180], [0, 45]], rtol=1e-6)
+        assert samples.other_costs_s.tolist() == [[[0, 1, 2], [3, 4, 5]], [[5, 4, 3], [2, 1, 0]]]
+        taken = samples.take([1])
+        assert taken.other_goals is not None
+        assert taken.other_costs_s is not None
+        assert (taken.other_goals.shape, taken.other_costs_s.tolist()[0][1]) == ((1, 2), [2, 1, 0])
+
+    @pytest.mark.parametrize(
+        ("goals", "costs", "problem"),
+        [
+            ("90", "0 1 2", "has 1 other_goals_deg and 3 other_costs_s"),
+            ("90 0 1", "0 1 2 3 4 5 6 7 8", "has 3 other_goals_deg and 9 other_costs_s"),
+            ("90 0", "0 1 2 3 4", "has 2 other_goals_deg and 5 other_costs_s"),
+            ("", "", "has 0 other_goals_deg and 0 other_costs_s"),
+            ("90 181", "0 1 2 3 4 5", "other_goals_deg is 181, outside"),
+            ("90 nan", "0 1 2 3 4 5", "other_goals_deg is 'nan', not a finite number"),
+            ("90 0", "0 1 2 3 4 -5", "other_costs_s has a cost outside"),
+            ("90 0", "0 1 2 3 4 inf", "other_costs_s is 'inf', not a finite number"),
+        ],
+    )
+    def test_malformed(self, goals: str, costs: str, problem: str, tmp_path: Path) -> None:
+        # Of two rows that differ the first is taken as right.
+        self.put(tmp_path, ["10 20", goals], ["0 1 2 3 4 5", costs])
+        with pytest.raises(InputError, match=problem):
+            read_samples([tmp_path])
+        assert len(read_samples([tmp_path], skip_bad=True).paths) == 1
+
+    @pytest.mark.parametrize("lacking", ["other_costs_s", "other_goals_deg", "turn_costs_s", "goal_deg"])
+    def test_one_column_without_the_others(self, lacking: str, tmp_path: Path) -> None:
+        columns = {"goals_deg": [1], "costs_s": ["0 1 2"], "other_goals_deg": ["5"], "other_costs_s": ["0 1 2"]}
+        name = {"turn_costs_s": "costs_s", "goal_deg": "goals_deg"}.get(lacking, lacking)
+        put_labels(tmp_path, [0], **(columns | {name: None}))
+        with pytest.raises(InputError, match="needs all of goal_deg, turn_costs_s, other_goals_deg and other_costs_s"):
+            read_samples([tmp_path])
+
+    def test_not_alike(self, tmp_path: Path) -> None:
+        self.put(tmp_path / "a", ["1", "2"], ["0 1 2"] * 2)
+        self.put(tmp_path / "b", None, None)
+        with pytest.raises(InputError, match=r"0 other_goals_deg a row, and .* 1: they cannot be learnt together"):
+            read_samples([tmp_path / "a", tmp_path / "b"])
+
+
 class TestSamples:
     @given(st.lists(st.integers(0, 4), max_size=8))
     def test_take(self, index: list[int]) -> None:
