@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from pathlib import Path
 
 import click
@@ -53,10 +54,11 @@ def record(
     from hrt_cli.driving.glance_stage import GlanceRequest, record_folder
 
     with console.bar("record") as progress:
-        up_to_date = record_folder(
+        done = record_folder(
             world, output, GlanceRequest(frames, near, vehicle, seed), existing=existing, progress=progress
         )
-    state = " (up to date)" if up_to_date else ""
+    state = " (up to date)" if done.up_to_date else ""
     console.result(
-        f"{output}: {frames} frames{state}", {"output": str(output), "up_to_date": up_to_date, "frames": frames}
+        f"{output}: {done.frames} frames, {done.near} with something in the way{state}",
+        {"output": str(output), **asdict(done)},
     )

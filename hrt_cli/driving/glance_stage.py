@@ -6,6 +6,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from hrt_cli.artifacts.carriers import json_provenance
+from hrt_cli.artifacts.jsonio import parse_strict, read_text
 from hrt_cli.artifacts.publish import output_error
 from hrt_cli.artifacts.stage import REFUSE, Existing, ReadProvenance, begin
 from hrt_cli.driving.album import ABOUT, Album, prepare_folder
@@ -39,14 +40,27 @@ class GlanceRequest:
     seed: int = 0
 
 
+@dataclass(frozen=True)
+class GlanceSummary:
+    """What came of it.
+
+    Attributes
+    ----------
+    up_to_date : bool
+    frames : int
+    near : int
+        How many of them have something in the way.
+    """
+
+    up_to_date: bool
+    frames: int
+    near: int
+
+
 def record_folder(
     world: Path, folder: Path, request: GlanceRequest, *, existing: Existing = REFUSE, progress: Progress = silent
-) -> bool:
+) -> GlanceSummary:
     """Look from random places of a site and write the pictures with what they teach (`driving.album`).
-
-    Returns
-    -------
-    up_to_date : bool
 
     Raises
     ------
@@ -65,7 +79,7 @@ def record_folder(
     outputs: dict[Path, ReadProvenance] = {folder / ABOUT: json_provenance}
     job = begin(STAGE, STAGE_VERSION, inputs=inputs, parameters=asdict(request), outputs=outputs, existing=existing)
     if job.up_to_date:
-        return True
+        return _summary(folder, True)
     site = load_site(world)
     vehicle = VEHICLES[request.vehicle or ("auv" if site.under_water else "ugv")]
     glances = Glances(site, vehicle, request.near, request.seed)
@@ -74,5 +88,10 @@ def record_folder(
     for number, (rgb, lesson) in enumerate(glances(request.frames)):
         album.add(rgb, lesson, f"{folder.name}-{request.seed}-{number // IN_ONE_WEATHER}")
         progress(number + 1, request.frames)
-    album.finish(job.provenance)
-    return False
+    album.finish(job.provenance, near=glances.near)
+    return _summary(folder, False)
+
+
+def _summary(folder: Path, up_to_date: bool) -> GlanceSummary:
+    about = parse_strict(folder / ABOUT, read_text(folder / ABOUT))
+    return GlanceSummary(up_to_date, int(about["frames"]), int(about["near"]))

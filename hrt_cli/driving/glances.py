@@ -34,8 +34,10 @@ _BLOCKED = 0.25
 """Where so large a share of random goals cannot be gone straight to, something is in the way."""
 _ASKED = 16
 """Goals by which that is found out."""
-_TRIES = 200
+_TRIES = 100
 """Places that are drawn for one picture at most."""
+_CLIMBS = 0.3
+"""Share of its steepest pitch from which on an AUV climbs over something."""
 _ALTITUDES = (0.6, 1.8)
 """Of an AUV, in units of the altitude that it keeps."""
 _PITCH_RAD = 0.25
@@ -56,6 +58,11 @@ class Glances:
     seed : int
         All that is random comes from it.
 
+    Attributes
+    ----------
+    near : int
+        Of the pictures so far, how many have something in the way: as many as asked for, where the site has them.
+
     Raises
     ------
     ArgumentError
@@ -63,8 +70,9 @@ class Glances:
     """
 
     def __init__(self, site: Site, vehicle: Vehicle, near: float, seed: int) -> None:
-        self._site, self._vehicle, self._near, self._seed = site, vehicle, near, seed
+        self._site, self._vehicle, self._share, self._seed = site, vehicle, near, seed
         self._swims = vehicle.kind == "auv"
+        self.near = 0
         self._map = (water_map if self._swims else cost_map)(site, vehicle.radius_m)
         self._elsewhere = Elsewhere(self._map, vehicle, vehicle.cruise_m_s)
         self._room = rim_distance(site) - vehicle.radius_m - _RIM_M
@@ -80,29 +88,42 @@ class Glances:
         Raises
         ------
         ArgumentError
-            No place has what is asked for.
+            There seems to be no way from anywhere to anywhere.
         """
         rng = np.random.default_rng([self._seed, 0x61])
         for number in range(count):
             if number % IN_ONE_WEATHER == 0:
                 camera = camera_of(self._site, self._vehicle, 1_000_003 * self._seed + number)
-            pose, goals = self._place(bool(rng.random() < self._near), rng)
+            pose, goals = self._place(bool(rng.random() < self._share), rng)
             noise = 2_000_003 * self._seed + number
             yield look(camera, self._site, self._vehicle, pose, noise_seed=noise).rgb, self._lesson(pose, goals)
 
     def _place(self, near: bool, rng: np.random.Generator) -> tuple[Pose, Goals]:
+        """Return a place and goals; where none of those drawn is as wanted, one that is not."""
+        other = None
         for _ in range(_TRIES):
             pose = self._pose(rng)
-            if pose is None or self._is_near(pose, rng) != near:
+            as_wanted = pose is not None and self._is_near(pose, rng) == near
+            if pose is None or (other is not None and not as_wanted):
                 continue
             goals = self._elsewhere.goals(pose, 1 + GOALS, rng)
-            if goals is not None:
+            if goals is not None and as_wanted:
+                self.near += near
                 return pose, goals
-        what = "something in the way" if near else "a free way to its goals"
-        raise ArgumentError(f"of {_TRIES} random places none has {what} and a way to any goal: take another share")
+            if goals is not None:
+                other = pose, goals
+        if other is None:
+            raise ArgumentError(f"from none of {_TRIES} random places there is a way to any goal")
+        self.near += not near
+        return other
 
     def _is_near(self, pose: Pose, rng: np.random.Generator) -> bool:
-        """Whether something is in the way of the robot, the rim aside: no goal lies beyond that."""
+        """Whether something is in the way of the robot, the rim aside: no goal lies beyond that.
+
+        Under water it is what has to be swum over.
+        """
+        if self._swims and climb_rad(self._site, self._vehicle, pose) > _CLIMBS * self._vehicle.pitch_limit_rad:
+            return True
         places = [place_at(pose, bearing, AHEAD_M) for bearing in random_bearings(_ASKED, rng)]
         inside = [place for place in places if sample(self._room, self._site.pixel_m, *place) > 0]
         blocked = sum(not self._elsewhere.is_straight(pose, place) for place in inside)
