@@ -3,9 +3,10 @@
     python benchmarks/dagger.py SITE [--elsewhere SITE]... [--out DIR] [KEY=VALUE...]
 
 SITE is a folder with ortho.tif and dsm.tif. The learning is `make -f steer.mk`, KEY=VALUE as for make, in DIR/dagger;
-behavioural cloning is the same with one round, in which the expert drives, undisturbed, as many drives as all rounds
-have, and as many frames are shown to the network (DIR/cloning). What was made stays in DIR and is not made again.
-Both then drive courses that nobody trained on: other random legs, which lead over what stands between their ends.
+behavioural cloning is the same with one round and without glances, in which the expert drives, undisturbed, as many
+drives as all rounds have, and as many frames are shown to the network (DIR/cloning). What was made stays in DIR and is
+not made again. Both then drive courses that nobody trained on: other random legs, once as they come, and once so that
+three in four lead across something that has to be gone round.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ import numpy as np
 from driving import distance_m
 
 from hrt_cli.driving.local import Command, LocalPlanner, Pose
-from hrt_cli.driving.roam import roam_course
+from hrt_cli.driving.roam import CROSSING, roam_course
 from hrt_cli.driving.simulator import Setting, first_heading, simulate
 from hrt_cli.driving.stage import local_planner
 from hrt_cli.driving.vehicle import AUV, UGV
@@ -68,11 +69,13 @@ def learn(folder: Path, site: Path, settings: dict[str, str]) -> float:
     return after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
 
 
-def drive(site: Site, who: str, model: Path | None, courses: int, metres: float) -> Tally:
+def drive(
+    site: Site, who: str, model: Path | None, courses: int, metres: float, crossing: float | None = CROSSING
+) -> Tally:
     tally = Tally()
     vehicle = AUV if site.under_water else UGV
     for seed in range(FIRST_SEED, FIRST_SEED + courses):
-        course = roam_course(site, vehicle, metres, seed)
+        course = roam_course(site, vehicle, metres, seed, crossing=crossing)
         setting = Setting(site, vehicle, course, vehicle.cruise_m_s, math.inf, first_heading(course), seed)
         local: LocalPlanner = local_planner(who, setting, model)
 
@@ -89,18 +92,28 @@ def drive(site: Site, who: str, model: Path | None, courses: int, metres: float)
     return tally
 
 
-def cloning(settings: dict[str, str], config: Path) -> dict[str, str]:
-    """Return the settings under which the expert alone shows as much, and the network sees as many frames."""
-    lines = [line.partition("#")[0].partition(":") for line in config.read_text().splitlines()]
+def frames(folder: Path) -> int:
+    """Return how many frames the recordings below a folder hold."""
+    return sum(len(path.read_text().splitlines()) - 1 for path in sorted(folder.rglob("labels.csv")))
+
+
+def cloning(settings: dict[str, str], dagger: Path) -> dict[str, str]:
+    """Return the settings under which the expert alone drives as much, and the network sees as many frames."""
+    lines = [line.partition("#")[0].partition(":") for line in (dagger / "config.yaml").read_text().splitlines()]
     known = {key: value.strip() for key, _, value in lines} | settings
-    epochs = [int(each) for each in known["steer_epochs"].split()][: int(known["steer_rounds"])]
-    shown = sum((k + 1) * each for k, each in enumerate(epochs))
     rounds = int(known["steer_rounds"])
+    so_far = frames(dagger / "out" / "steer" / "glances")
+    shown = driven = 0
+    for k, epochs in enumerate(map(int, known["steer_epochs"].split()[:rounds]), start=1):
+        new = frames(dagger / "out" / "steer" / f"round-{k}")
+        driven, so_far = driven + new, so_far + new
+        shown += epochs * so_far
     return settings | {
+        "steer_glances": "0",
         "steer_rounds": "1",
         "steer_drives": str(rounds * int(known["steer_drives"])),
         "steer_disturb": "0",
-        "steer_epochs": str(math.ceil(shown / rounds)),
+        "steer_epochs": str(max(1, round(shown / driven))),
     }
 
 
@@ -118,7 +131,7 @@ def main() -> None:
     out = options.out or Path(tempfile.mkdtemp())
     rounds = {}
     for name in ("dagger", "cloning")[: 1 if options.no_cloning else 2]:
-        own = settings if name == "dagger" else cloning(settings, out / "dagger" / "config.yaml")
+        own = settings if name == "dagger" else cloning(settings, out / "dagger")
         seconds = learn(out / name, options.site, own)
         print(f"{name}: {seconds / 60:.1f} minutes of CPU time")
         models = sorted((out / name / "out" / "steer").glob("round-*/steer.safetensors"))
@@ -127,10 +140,12 @@ def main() -> None:
     who += [(name, "steer", model) for name, model in rounds.items()]
     for folder in (options.site, *options.elsewhere):
         site = load_site(folder)
-        print(f"\n{folder.name}{'':<20}{'driven':>10}{'collisions':>12}{'off the survey':>16}{'drivable':>11}")
-        for name, planner, model in who:
-            found = drive(site, planner, model, options.courses, options.metres)
-            print(f"  {name:<20}{found.row()}", flush=True)
+        for kind, crossing in (("legs as they come", None), ("three legs in four across something", CROSSING)):
+            print(f"\n{folder.name}, {kind}")
+            print(f"  {'':<20}{'driven':>10}{'collisions':>12}{'off the survey':>16}{'drivable':>11}")
+            for name, planner, model in who:
+                found = drive(site, planner, model, options.courses, options.metres, crossing)
+                print(f"  {name:<20}{found.row()}", flush=True)
 
 
 if __name__ == "__main__":

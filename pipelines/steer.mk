@@ -1,9 +1,11 @@
 # A robot learns to steer from one survey, before it has driven a metre: make -f steer.mk world=../site
 #
-# Round 1 shows it how the expert drives, who sees the site as it is. In each later round the robot itself drives, and
-# the expert says what it should have done there, and helps it on where it gets stuck (DAgger: Ross, Gordon and Bagnell
-# 2011); it learns from all rounds so far:
-#   round-1/drive-1/labels.csv  drive-1.jsonl  ...  steer.safetensors  curve.png        test/drive-1.jsonl  report.json
+# Glances are what it would see at random places of the site, most of them with something in the way. Round 1 shows it
+# besides how the expert drives, who sees the site as it is. In each later round the robot itself drives, and the expert
+# says what it should have done there, and helps it on where it gets stuck (DAgger: Ross, Gordon and Bagnell 2011); it
+# learns from all so far:
+#   glances/labels.csv  round-1/drive-1/labels.csv  drive-1.jsonl  ...  steer.safetensors  curve.png
+#   test/drive-1.jsonl  ...  report.json
 # The courses are random legs over the site (hrt drive --roam), others in the test than in training.
 
 .DEFAULT_GOAL := steering
@@ -21,9 +23,9 @@ endif
 count = $(shell awk 'BEGIN { for (k = 1; k <= $(1); k++) print k }')
 learn_rounds := $(call count,$(steer_rounds))
 ifeq ($(filter clean%,$(MAKECMDGOALS)),)
-ifneq ($(words $(wordlist 1,$(words $(learn_rounds)),$(steer_epochs))),$(words $(learn_rounds)))
-$(error $(CONFIG): steer_epochs needs a number for each of the $(steer_rounds) rounds, not '$(steer_epochs)')
-endif
+$(foreach key,steer_epochs steer_rate,$(if $(filter $(words $(learn_rounds)),\
+  $(words $(wordlist 1,$(words $(learn_rounds)),$($(key))))),,\
+  $(error $(CONFIG): $(key) needs a number for each of the $(steer_rounds) rounds, not '$($(key))')))
 endif
 learn_drives := $(call count,$(steer_drives))
 steer_out := $(out)/steer
@@ -32,13 +34,19 @@ roam_args = --world $(world) --roam $(steer_metres)
 # It is pushed off its way now and then, so that it shows how to get back.
 push_args = --local teacher --disturb $(steer_disturb)
 train_args = --balance $(steer_balance) --size $(steer_size) --crop-top $(steer_crop) --columns $(steer_columns) \
-  --batch $(steer_batch) --learning-rate $(steer_rate) --share 0.1 --patience 0 --threads $(workers)
+  --batch $(steer_batch) --share 0.1 --patience 0 --threads $(workers)
+glance_args = --frames $(steer_glances) --near $(steer_near) --seed $(seed)
 
 ifeq ($(filter clean%,$(MAKECMDGOALS)),)
 $(call stamp,steer-drive,$(roam_args) $(seed) $(steer_drives))
 $(call stamp,steer-push,$(push_args))
-$(call stamp,steer-train,$(train_args) $(steer_epochs) $(seed))
+$(call stamp,steer-train,$(train_args) $(steer_epochs) $(steer_rate) $(seed))
+$(call stamp,steer-glances,$(glance_args))
 endif
+
+$(steer_out)/glances/labels.csv: $(world_files) $(stamps)/steer-glances
+	$(HRT) record $(world) -o $(@D) $(glance_args) --overwrite
+	@touch $@
 
 # $1 round, $2 drive, $3 who drives, $4 what that depends on.
 define learning_drive
@@ -56,12 +64,13 @@ $(foreach d,$(learn_drives),$(eval $(call learning_drive,$1,$d,\
   $(if $(learnt),--local steer --model $(learnt) --rescue,$(push_args)),$(if $(learnt),$(learnt),$(stamps)/steer-push))))
 $(steer_out)/round-$1/steer.safetensors: $(recordings) $(learnt) $(stamps)/steer-train
 	$(HRT) train-steer $(patsubst %/labels.csv,%,$(recordings)) -o $$@ $(train_args) --epochs $(word $1,$(steer_epochs)) \
+	  --learning-rate $(word $1,$(steer_rate)) \
 	  $(if $(learnt),--init $(learnt)) --seed $(seed) --curve $$(@D)/curve.png --overwrite
 	@touch $$@
 $(eval learnt := $(steer_out)/round-$1/steer.safetensors)
 endef
 
-recordings :=
+recordings := $(if $(filter-out 0,$(steer_glances)),$(steer_out)/glances/labels.csv)
 learnt :=
 $(foreach r,$(learn_rounds),$(eval $(call learning_round,$r)))
 

@@ -30,7 +30,7 @@ _DEPTH_M = 2.0
 _SHORTEST_LEG_M, _LONGEST_LEG_M = 2.0, 30.0
 _DRAWN, _CHOICE = 256, 48
 """Places from which the end of a leg is chosen: of so many the nearest to where it should be."""
-_BLOCKED = 0.75
+CROSSING = 0.75
 """Share of the legs that lead across something, where one of the places offers such a leg."""
 _WIDEST_M, _AROUND_M = 3.0, 1.5
 """What a leg leads across blocks it for so long at most, and there is a way round it so far from it at most."""
@@ -105,11 +105,22 @@ class Grounds:
         return bool(pieces[before[0] - top, before[1] - left] == pieces[beyond[0] - top, beyond[1] - left])
 
 
-def roam_course(site: Site, vehicle: Vehicle, length_m: float, seed: int) -> Course:
+def roam_course(
+    site: Site, vehicle: Vehicle, length_m: float, seed: int, *, crossing: float | None = CROSSING
+) -> Course:
     """Return a course of straight legs, at most 30 m each, between random places.
 
-    Three in four lead across something that can be gone round close by, where there is such a leg: it is for the local
-    planner to do that. None leads near the rim of the survey.
+    None leads near the rim of the survey, or across what cannot be gone round close by.
+
+    Parameters
+    ----------
+    site : Site
+    vehicle : Vehicle
+    length_m : float
+    seed : int
+    crossing : float, optional
+        Share of the legs that lead across something that can be gone round, where there is such a leg: it is for the
+        local planner to do that. None: as they come.
 
     Raises
     ------
@@ -121,7 +132,7 @@ def roam_course(site: Site, vehicle: Vehicle, length_m: float, seed: int) -> Cou
         points = [grounds.places[rng.integers(len(grounds.places))]]
         length = 0.0
         while length < length_m:
-            end = _next(grounds, points[-1], min(_LONGEST_LEG_M, length_m), rng)
+            end = _next(grounds, points[-1], min(_LONGEST_LEG_M, length_m), crossing, rng)
             if end is None:
                 break
             length += float(np.hypot(*(end - points[-1])))
@@ -132,7 +143,7 @@ def roam_course(site: Site, vehicle: Vehicle, length_m: float, seed: int) -> Cou
 
 
 def _next(
-    grounds: Grounds, start: NDArray[np.float64], longest_m: float, rng: np.random.Generator
+    grounds: Grounds, start: NDArray[np.float64], longest_m: float, crossing: float | None, rng: np.random.Generator
 ) -> NDArray[np.float64] | None:
     """Return where the next leg ends, None where there seems to be no such place."""
     for _ in range(_TRIES):
@@ -142,9 +153,12 @@ def _next(
         near = drawn[np.hypot(*(drawn - wanted).T).argsort(kind="stable")[:_CHOICE]]
         near = near[np.hypot(*(near - start).T) >= min(_SHORTEST_LEG_M, 0.2 * longest_m)]
         kinds = [grounds.leg(start, each) for each in near]
-        order = (Leg.ROUND, Leg.CLEAR) if rng.random() < _BLOCKED else (Leg.CLEAR, Leg.ROUND)
-        for kind in order:
-            if kind in kinds:
-                found: NDArray[np.float64] = near[kinds.index(kind)]
-                return found
+        orders: tuple[set[Leg], ...] = ({Leg.CLEAR, Leg.ROUND},)
+        if crossing is not None:
+            orders = ({Leg.ROUND}, {Leg.CLEAR}) if rng.random() < crossing else ({Leg.CLEAR}, {Leg.ROUND})
+        for good in orders:
+            for place, kind in zip(near, kinds, strict=True):
+                if kind in good:
+                    found: NDArray[np.float64] = place
+                    return found
     return None

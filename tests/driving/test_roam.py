@@ -35,7 +35,10 @@ def test_all_of_it_lies_on_one_side_of_a_wall_without_a_gap() -> None:
     assert (points[:, 0] < 19.0).all(), "the larger side"
 
 
-def test_most_legs_lead_across_what_has_to_be_gone_round_and_none_off_the_survey() -> None:
+@pytest.mark.parametrize(("crossing", "least", "most"), [(0.75, 0.6, 1.0), (0.0, 0.0, 0.1), (None, 0.1, 0.6)])
+def test_as_many_legs_as_asked_for_lead_across_something_and_none_off_the_survey(
+    crossing: float | None, least: float, most: float
+) -> None:
     obstacle = np.zeros((SIDE, SIDE), np.bool_)
     for row in range(40, 280, 60):
         for col in range(40, 280, 60):
@@ -43,13 +46,13 @@ def test_most_legs_lead_across_what_has_to_be_gone_round_and_none_off_the_survey
     seen = np.ones((SIDE, SIDE), np.bool_)
     seen[:120, 150:] = False
     site = ground_site(obstacle, seen=seen)
-    points = roam_course(site, UGV, 900.0, 4).points
+    points = roam_course(site, UGV, 900.0, 4, crossing=crossing).points
     blocked = 0
     for start, end in pairwise(points):
         cols, rows = np.floor(np.linspace(start, end, 400) / site.pixel_m).astype(int).T
         assert seen[rows, cols].all()
         blocked += bool((site.clearance_m[rows, cols] < UGV.radius_m + 0.25).any())
-    assert 0.6 < blocked / (len(points) - 1) <= 1.0
+    assert least <= blocked / (len(points) - 1) <= most
 
 
 def boxed(*boxes: tuple[int, int, int, int]) -> Grounds:
