@@ -17,7 +17,6 @@ from hrt_cli.progress import Console
 Example:
   hrt synth site --scene meadow --size 30
   hrt record site -o site/glances --frames 200
-  hrt train-steer site/glances -o site/steer.safetensors --size 64x48 --epochs 1
 """
 )
 @click.argument("world", type=opt.PATH)
