@@ -262,11 +262,13 @@ def _steer(model: Path, setting: Setting) -> LocalPlanner:
     # Only here: PyTorch takes a second to import.
     from hrt_cli.driving.steer import Steer
     from hrt_cli.steering.predictor import load_predictor
+    from hrt_cli.steering.samples import check_lens
 
     predictor = load_predictor(model)
     swims = setting.vehicle.kind == "auv"
     if swims != ("pitch" in predictor.config.outputs):
         raise InputError(model, f"steers {' and '.join(predictor.config.outputs)}: made for another kind of robot")
+    check_lens(model, predictor.config.hfov_deg, setting.vehicle.lens_hfov_deg)
     return Steer(predictor, setting)
 
 

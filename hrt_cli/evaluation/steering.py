@@ -24,7 +24,7 @@ from hrt_cli.steering.metrics import (
 )
 from hrt_cli.steering.network import Output, SteeringConfig
 from hrt_cli.steering.predictor import Distributions, Predictor, load_predictor
-from hrt_cli.steering.samples import Samples, read_samples
+from hrt_cli.steering.samples import Samples, check_lens, read_samples
 
 BATCH = 32
 
@@ -111,6 +111,7 @@ def evaluate_steer(
     predictor = load_predictor(model)
     config = predictor.config
     samples = read_samples(folders, skip_bad=skip_bad, correction=correction, note=note)
+    check_lens(folders[0], samples.hfov_deg, config.hfov_deg)
     columns = _columns_of(samples, config, folders[0])
     samples, pictures, digest = load_pictures(samples, config, skip_bad=skip_bad, note=note)
     if not len(pictures):

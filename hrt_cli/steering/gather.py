@@ -14,7 +14,7 @@ from hrt_cli.progress import Note, Progress, silent, unheard
 from hrt_cli.steering.batches import Frames
 from hrt_cli.steering.load import load_pictures
 from hrt_cli.steering.network import SteeringConfig
-from hrt_cli.steering.samples import Samples, check_varied, read_samples
+from hrt_cli.steering.samples import Samples, check_lens, check_varied, read_samples
 from hrt_cli.steering.split import split
 from hrt_cli.steering.train import SteerSpec
 
@@ -73,7 +73,9 @@ def gather(
     goal = spec.goal and found.goal is not None
     if apart is not None:
         _check_alike(found, apart, goal)
-    config = SteeringConfig(**{**dict(config), "outputs": found.outputs, "goal": goal, "temperature": {}})
+    config = SteeringConfig(
+        **{**dict(config), "outputs": found.outputs, "goal": goal, "hfov_deg": found.hfov_deg, "temperature": {}}
+    )
     found, pictures, digest = load_pictures(found, config, skip_bad=skip_bad, progress=progress, note=note)
     check_varied(found, config.half_classes)
     others = spec.cost_scale_s > 0.0
@@ -107,6 +109,7 @@ def _check_alike(found: Samples, apart: Samples, goal: bool) -> None:
     where = apart.files[0]
     if apart.outputs != found.outputs:
         raise InputError(where, f"has {', '.join(apart.outputs)}; the training data have {', '.join(found.outputs)}")
+    check_lens(where, apart.hfov_deg, found.hfov_deg)
     if goal and apart.goal is None:
         raise InputError(where, "does not say where to go, and the training data do", "use --no-goal")
     turns = [0 if each.turn_costs_s is None else each.turn_costs_s.shape[1] for each in (apart, found)]

@@ -10,6 +10,7 @@ import math
 from collections import Counter
 from pathlib import Path
 
+from hrt_cli.artifacts.jsonio import parse_strict, read_text
 from hrt_cli.errors import InputError
 from hrt_cli.steering.network import Output
 from hrt_cli.steering.rows import (
@@ -23,7 +24,7 @@ from hrt_cli.steering.rows import (
     real_number,
 )
 
-LABELS = "labels.csv"
+LABELS, ABOUT = "labels.csv", "recording.json"
 _OTHERS = ("other_goals_deg", "other_costs_s")
 _NEEDED, _OPTIONAL = ("image", "yaw"), ("pitch", "session", "goal_deg", "turn_costs_s", *_OTHERS)
 _LONGEST_SESSION = 200
@@ -44,6 +45,7 @@ def read_labels(folder: Path) -> Recording:
     columns = _columns(file, header)
     outputs: tuple[Output, ...] = ("yaw", "pitch") if "pitch" in columns else ("yaw",)
     recording = Recording((file,), outputs, "goal_deg" in columns)
+    recording.hfov_deg = _hfov_deg(folder / ABOUT)
     if "turn_costs_s" in columns:
         recording.turns = _count(lines, columns.index("turn_costs_s"))
         if _OTHERS[0] in columns:
@@ -53,6 +55,20 @@ def read_labels(folder: Path) -> Recording:
         with recording.row(file, line.row):
             recording.frames.append(_frame(line, columns, recording, below))
     return recording
+
+
+def _hfov_deg(path: Path) -> float | None:
+    """Return the field of view that a recording of hrt tells."""
+    if not path.is_file():
+        return None
+    about = parse_strict(path, read_text(path))
+    if not isinstance(about, dict) or about.get("format") != "hrt-recording":
+        return None
+    lens = about.get("lens")
+    hfov = lens.get("hfov_deg") if isinstance(lens, dict) else None
+    if isinstance(hfov, bool) or not isinstance(hfov, int | float) or not 0.0 < hfov < 180.0:
+        raise InputError(path, f"its lens.hfov_deg is {hfov!r}, and must be an angle between 0 and 180")
+    return float(hfov)
 
 
 def _columns(file: Path, header: Line) -> list[str]:

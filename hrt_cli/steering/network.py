@@ -47,6 +47,9 @@ class SteeringConfig(Document):
         what is on the left apart from what is on the right.
     goal : bool
         Whether it is also told where to go: the bearing of a point ahead on the path, in the robot's frame.
+    hfov_deg : float, optional
+        Horizontal field of view of the lens through which it learnt to see, where that is known: through another,
+        things lie elsewhere than they seem.
     spatial_dropout : bool
         Whether channels are dropped before the last convolution, too.
     temperature : dict of str to float
@@ -62,6 +65,7 @@ class SteeringConfig(Document):
     std: tuple[Positive, Positive, Positive] = (0.25, 0.25, 0.25)
     columns: int = Field(default=1, ge=1, le=64)
     goal: bool = False
+    hfov_deg: float | None = Field(default=None, gt=0.0, lt=180.0)
     spatial_dropout: bool = False
     temperature: dict[Output, Positive] = Field(default_factory=dict)
 

@@ -75,6 +75,8 @@ class Recording:
         How many angles the costs of turning are known for; 0 where they are not.
     other_goals : int
         For how many other goals they are known.
+    hfov_deg : float, optional
+        Of the lens, where the recording tells it.
     frames : list of Frame
         In the order in which they were taken.
     malformed : list of (Path, str)
@@ -84,6 +86,7 @@ class Recording:
     def __init__(self, files: tuple[Path, ...], outputs: tuple[Output, ...] = ("yaw",), has_goal: bool = False) -> None:
         self.files, self.outputs, self.has_goal = files, outputs, has_goal
         self.turns = self.other_goals = 0
+        self.hfov_deg: float | None = None
         self.frames: list[Frame] = []
         self.malformed: list[tuple[Path, str]] = []
 

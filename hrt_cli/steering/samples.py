@@ -53,6 +53,8 @@ class Samples:
         Bearings of other goals, radians; all frames have as many.
     other_costs_s : float32 [n, goals, turns], optional
         What turning costs on the way to those.
+    hfov_deg : float, optional
+        Horizontal field of view of the lens, where the recordings tell it.
     skipped : int
         Frames left out because their row or picture is damaged.
     files : tuple of Path
@@ -74,6 +76,7 @@ class Samples:
     turn_costs_s: NDArray[np.float32] | None = None
     other_goals: NDArray[np.float32] | None = None
     other_costs_s: NDArray[np.float32] | None = None
+    hfov_deg: float | None = None
 
     def take(self, index: ArrayLike) -> Samples:
         """Return the frames at `index` (integers, or bool [n]), in that order."""
@@ -158,6 +161,18 @@ def check_varied(samples: Samples, half_classes: int) -> None:
             raise InputError(where, problem, "record turns, too" if name == "yaw" else "or leave the column pitch out")
 
 
+def check_lens(where: Path, hfov_deg: float | None, wanted_deg: float | None) -> None:
+    """Refuse what was seen through another lens: there things lie elsewhere than they seem.
+
+    Raises
+    ------
+    InputError
+        Both fields of view are known, and differ.
+    """
+    if hfov_deg is not None and wanted_deg is not None and hfov_deg != wanted_deg:
+        raise InputError(where, f"is of a lens {hfov_deg:g} degrees wide, and it must be one of {wanted_deg:g}")
+
+
 def _kind(folder: Path) -> str | None:
     kinds = [name for name in (LABELS, MANIFEST, DRIVING_LOG, STEERING) if (folder / name).is_file()]
     if len(kinds) > 1:
@@ -228,7 +243,9 @@ def _leave_out(recording: Recording, skip_bad: bool, note: Note) -> int:
 
 def _check_alike(recordings: list[Recording]) -> None:
     first = recordings[0]
+    lens = next((each.hfov_deg for each in recordings if each.hfov_deg is not None), None)
     for other in recordings[1:]:
+        check_lens(other.files[0], other.hfov_deg, lens)
         if other.outputs != first.outputs:
             has, lacks = (first, other) if "pitch" in first.outputs else (other, first)
             raise InputError(lacks.files[0], f"has no pitch, and {has.files[0]} has: they cannot be learnt together")
@@ -283,6 +300,7 @@ def _gathered(read: list[tuple[str, Recording]], skipped: int) -> Samples:
         files=tuple(file for _, recording in read for file in recording.files),
         moment=np.array([frame.moment for frame in frames], np.int32),
         turn_costs_s=told((frame.turn_costs_s for frame in frames), (first.turns,), first.turns > 0),
+        hfov_deg=first.hfov_deg if len({each.hfov_deg for _, each in read}) == 1 else None,
         other_goals=told((each.other_goals_rad for each in frames), (first.other_goals,), first.other_goals > 0),
         other_costs_s=told(
             (each.other_costs_s for each in frames), (first.other_goals, first.turns), first.other_goals > 0

@@ -26,6 +26,7 @@ from hrt_cli.steering.model import model_provenance, publish_model, read_model, 
 from hrt_cli.steering.network import Output, SteeringConfig, SteeringNet
 from hrt_cli.steering.precision import Arithmetic, Precision, choose, repeatable
 from hrt_cli.steering.resnet import IMAGENET_MEAN, IMAGENET_STD, load_published
+from hrt_cli.steering.samples import check_lens
 from hrt_cli.steering.signals import undivided
 from hrt_cli.steering.state import Epoch
 from hrt_cli.steering.train import SteerSpec, Trainer, constant_steering
@@ -275,12 +276,14 @@ def _beginning(config: SteeringConfig, spec: SteerSpec, weights: Path | None, in
     """Return the network to begin with, on the CPU."""
     if init is not None:
         net = read_model(init)
-        free = {"mean", "std", "temperature"}
+        check_lens(init, net.config.hfov_deg, config.hfov_deg)
+        free = {"mean", "std", "temperature", "hfov_deg"}
         given, wanted = net.config.model_dump(exclude=free), config.model_dump(exclude=free)
         for name in given:
             if given[name] != wanted[name]:
                 raise InputError(init, f"its {name} is {given[name]}, and that of this training {wanted[name]}")
-        net.config = net.config.model_copy(update={"temperature": {}})
+        lens = net.config.hfov_deg if config.hfov_deg is None else config.hfov_deg
+        net.config = net.config.model_copy(update={"temperature": {}, "hfov_deg": lens})
         return net
     if weights is not None:
         config = config.model_copy(update={"mean": IMAGENET_MEAN, "std": IMAGENET_STD})

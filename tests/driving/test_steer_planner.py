@@ -211,6 +211,20 @@ def test_a_model_of_another_kind_of_robot_is_refused(tmp_path: Path) -> None:
         local_planner("steer", ground)
 
 
+@pytest.mark.usefixtures("small")
+def test_a_model_of_another_lens_is_refused(tmp_path: Path) -> None:
+    ground = setting()
+    for hfov in (None, ground.vehicle.lens_hfov_deg, 60.0):
+        path = put_net(
+            tmp_path / f"{hfov}.safetensors", SteeringNet(SteeringConfig(width=32, height=32, hfov_deg=hfov))
+        )
+        if hfov != 60.0:
+            assert local_planner("steer", ground, path).name == "steer"
+            continue
+        with pytest.raises(InputError, match=r"is of a lens 60 degrees wide, and it must be one of 100"):
+            local_planner("steer", ground, path)
+
+
 @pytest.fixture(scope="module")
 def world(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return put_world(tmp_path_factory.mktemp("world"), np.zeros((60, 100)), classes=np.zeros((60, 100)))

@@ -96,6 +96,14 @@ def test_sessions_are_measured_apart_beside_one_constant(recording: Path, answer
     assert found.reliability["yaw"].count.sum() == 3
 
 
+def test_data_of_another_lens_are_refused(recording: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (recording / "recording.json").write_text('{"format": "hrt-recording", "lens": {"hfov_deg": 100}}')
+    narrow = BOTH.model_copy(update={"hfov_deg": 60.0})
+    monkeypatch.setattr(module, "load_predictor", lambda path: Fixed(narrow, {}))
+    with pytest.raises(InputError, match=r"is of a lens 100 degrees wide, and it must be one of 60"):
+        evaluate_steer(Path("m"), [recording])
+
+
 def test_a_model_of_yaw_is_measured_on_data_with_pitch(
     recording: Path, answering: Fixed, monkeypatch: pytest.MonkeyPatch
 ) -> None:

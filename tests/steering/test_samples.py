@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 from pathlib import Path
 
@@ -314,6 +315,34 @@ class TestOtherGoals:
         self.put(tmp_path / "b", None, None)
         with pytest.raises(InputError, match=r"0 other_goals_deg a row, and .* 1: they cannot be learnt together"):
             read_samples([tmp_path / "a", tmp_path / "b"])
+
+
+class TestLens:
+    def put(self, folder: Path, hfov: object = None, kind: str = "hrt-recording") -> Path:
+        put_labels(folder, [0, 0.5])
+        if hfov is not None:
+            (folder / "recording.json").write_text(json.dumps({"format": kind, "lens": {"hfov_deg": hfov}}))
+        return folder
+
+    def test_told_where_all_tell_it(self, tmp_path: Path) -> None:
+        wide, same, silent = self.put(tmp_path / "a", 100), self.put(tmp_path / "b", 100.0), self.put(tmp_path / "c")
+        assert read_samples([wide, same]).hfov_deg == 100.0
+        assert read_samples([wide]).take([0]).hfov_deg == 100.0
+        assert read_samples([silent]).hfov_deg is None
+        assert read_samples([wide, silent]).hfov_deg is None
+        assert read_samples([self.put(tmp_path / "d", 60, "another program's")]).hfov_deg is None
+
+    def test_two_lenses(self, tmp_path: Path) -> None:
+        folders = [self.put(tmp_path / "a"), self.put(tmp_path / "b", 100), self.put(tmp_path / "c", 75.5)]
+        with pytest.raises(
+            InputError, match=r"c/labels\.csv: is of a lens 75\.5 degrees wide, and it must be one of 100"
+        ):
+            read_samples(folders)
+
+    @pytest.mark.parametrize("hfov", [0, 180, -5, "wide", [100], True])
+    def test_no_angle(self, hfov: object, tmp_path: Path) -> None:
+        with pytest.raises(InputError, match=r"recording\.json: its lens\.hfov_deg is .*, and must be an angle"):
+            read_samples([self.put(tmp_path / "a", hfov)])
 
 
 class TestSamples:

@@ -228,6 +228,21 @@ def test_it_goes_on_from_another_model(data: Path, tmp_path: Path, made: tuple[P
         run(data, first, init=first, existing=Existing(overwrite=True))
 
 
+def test_a_model_tells_its_lens_and_goes_on_with_no_other(data: Path, tmp_path: Path) -> None:
+    short, folders = replace(SPEC, epochs=1), {}
+    for hfov in (100, 75):
+        folders[hfov] = shutil.copytree(data, tmp_path / f"{hfov}")
+        (folders[hfov] / "recording.json").write_text(f'{{"format": "hrt-recording", "lens": {{"hfov_deg": {hfov}}}}}')
+    run(folders[100], tmp_path / "m.safetensors", short)
+    assert read_model(tmp_path / "m.safetensors").config.hfov_deg == 100.0
+    run(data, tmp_path / "n.safetensors", short, init=tmp_path / "m.safetensors")
+    assert read_model(tmp_path / "n.safetensors").config.hfov_deg == 100.0
+    with pytest.raises(InputError, match=r"m\.safetensors: is of a lens 100 degrees wide, and it must be one of 75"):
+        run(folders[75], tmp_path / "o.safetensors", short, init=tmp_path / "m.safetensors")
+    with pytest.raises(InputError, match=r"75/labels\.csv: is of a lens 75 degrees wide, and it must be one of 100"):
+        run(folders[100], tmp_path / "o.safetensors", short, validation=[folders[75]])
+
+
 @pytest.mark.slow
 def test_it_begins_from_published_weights(data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(network, "ResNet18", ResNet18)
