@@ -9,7 +9,7 @@ from hrt_cli.artifacts.publish import publishing
 from hrt_cli.artifacts.stage import REFUSE, Existing
 from hrt_cli.errors import OutputError
 
-WORKFLOW_FILES = ("Makefile", "Snakefile", "rounds.mk", "rounds.smk", "steer.mk", "config.yaml")
+WORKFLOW_FILES = ("Makefile", "Snakefile", "rounds.mk", "rounds.smk", "steer.mk", "steer.smk", "config.yaml")
 
 
 def create_project(folder: Path, *, existing: Existing = REFUSE) -> list[Path]:

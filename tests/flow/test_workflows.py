@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import json
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -68,3 +70,55 @@ def test_init_leaves_edited_files_alone(project: Path) -> None:
     assert refused.returncode == 1
     assert "config.yaml" in refused.stderr
     assert "budget: 40" in (project / "config.yaml").read_text()
+
+
+TINY = {
+    "steer_glances": "24", "steer_rounds": "2", "steer_drives": "1", "steer_metres": "6", "steer_size": "32x32",
+    "steer_columns": "1", "steer_batch": "8", "steer_rate": "0.001 0.0005", "steer_epochs": "1 1",
+    "steer_test_drives": "1", "workers": "1",
+}  # fmt: skip
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(shutil.which("make") is None, reason="make is not installed")
+def test_make_learns_to_steer(project: Path) -> None:
+    world = ROOT / "fixtures" / "meadow"
+    given = ["-f", "steer.mk", f"world={world}", *(f"{key}={value}" for key, value in TINY.items())]
+    told = make(project, *given)
+    steer = project / "out" / "steer"
+    assert told.count("hrt train-steer") == 2
+    assert "--rescue" in told
+    assert json.loads((steer / "test" / "report.json").read_text())["drives"]
+    assert "Nothing to be done" in make(project, *given)
+    # A round more learns from all so far, and nothing before it is made again.
+    more = make(project, "-n", *given, "steer_rounds=3", "steer_rate=0.001 0.0005 0.0005", "steer_epochs=1 1 1")
+    assert "round-3/drive-1" in more
+    failed = subprocess.run(
+        ["make", "-C", str(project), *given, "steer_epochs=1"], env=ENV, capture_output=True, text=True
+    )
+    assert failed.returncode != 0
+    assert "steer_epochs needs a number for each of the 2 rounds" in failed.stderr
+    make(project, *given, "clean-steering")
+    assert not steer.exists()
+
+
+@pytest.mark.skipif(shutil.which("snakemake", path=ENV["PATH"]) is None, reason="snakemake is not installed")
+def test_snakemake_would_learn_to_steer_by_the_same_commands(project: Path) -> None:
+    world = ROOT / "fixtures" / "meadow"
+    file = project / "steer.smk"
+    command = ["snakemake", "-n", "-p", "--cores", "1", "--directory", str(project), "--snakefile", str(file)]
+    given = [f"{key}={value}" for key, value in TINY.items()]
+    done = subprocess.run([*command, "--config", f"world={world}", *given], env=ENV, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    made = make(project, "-n", "-f", "steer.mk", f"world={world}", *given)
+
+    def commands(text: str) -> list[list[str]]:
+        whole = re.sub(r"\$\(\((.*?)\)\)", lambda found: str(eval(found[1])), text.replace("\\\n", " "))
+        found = re.findall(r"^(?:Shell command: *|\s*@?)hrt (.*)", whole, re.MULTILINE)
+        return sorted(sorted(each.split()) for each in found)
+
+    assert len(commands(made)) == 7
+    assert commands(done.stdout + done.stderr) == commands(made)
+    refused = subprocess.run(command, env=ENV, capture_output=True, text=True)
+    assert refused.returncode != 0
+    assert "a robot needs a world" in refused.stdout + refused.stderr
