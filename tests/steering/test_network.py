@@ -50,6 +50,16 @@ def test_columns_keep_left_and_right_apart() -> None:
     )
 
 
+def test_to_ask_for_several_goals_is_to_ask_for_each(full: SteeringNet) -> None:
+    x, goals = torch.randn(3, 3, 48, 64), torch.tensor([[0.0, 0.8], [-0.5, 2.0], [1.0, -3.0]])
+    with torch.no_grad():
+        found = full(x, goals)
+        for name, values in found.items():
+            assert values.shape == (6, 7)
+            for column in range(2):
+                torch.testing.assert_close(values.view(3, 2, 7)[:, column], full(x, goals[:, column])[name])
+
+
 def test_a_goal_must_be_given_and_counts_by_its_direction(full: SteeringNet) -> None:
     x = torch.randn(1, 3, 48, 64)
     with pytest.raises(ValueError, match="where to go"):

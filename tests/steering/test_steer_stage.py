@@ -17,6 +17,7 @@ from hrt_cli.artifacts.stage import REFUSE, Existing
 from hrt_cli.errors import ArgumentError, InputError, OutputError
 from hrt_cli.steering import network, precision, training
 from hrt_cli.steering.augment import Augment
+from hrt_cli.steering.gather import gather
 from hrt_cli.steering.model import model_provenance, read_model, read_tensors
 from hrt_cli.steering.network import SteeringConfig, SteeringNet
 from hrt_cli.steering.predictor import TorchPredictor
@@ -226,6 +227,28 @@ def test_it_goes_on_from_another_model(data: Path, tmp_path: Path, made: tuple[P
         run(data, tmp_path / "n.safetensors", init=first, weights=first)
     with pytest.raises(OutputError, match="the output is also an input"):
         run(data, first, init=first, existing=Existing(overwrite=True))
+
+
+def test_other_goals_are_learnt_from_and_not_measured_by(data: Path, tmp_path: Path) -> None:
+    folder = shutil.copytree(data, tmp_path / "goals")
+    rows = (data / "labels.csv").read_text().splitlines()
+    head = f"{rows[0]},goal_deg,turn_costs_s,other_goals_deg,other_costs_s"
+    told = [f"{row},5,0 1 2,{k} {-k},1 0 1 2 0 {k}" for k, row in enumerate(rows[1:])]
+    (folder / "labels.csv").write_text("\n".join([head, *told]) + "\n", encoding="utf-8")
+    found = gather([folder], [], SPEC, CONFIG)
+    assert found.training.goal is not None
+    assert found.training.costs is not None
+    np.testing.assert_allclose(np.degrees(found.training.goal[:, 0]), 5, rtol=1e-6)
+    which = np.rint(np.degrees(found.training.goal[:, 1]))
+    np.testing.assert_allclose(np.degrees(found.training.goal[:, 2]), -which, atol=1e-4)
+    assert found.training.costs[:, :2].tolist() == [[[0, 1, 2], [1, 0, 1]]] * len(found.training)
+    np.testing.assert_array_equal(found.training.costs[:, 2, 2], which)
+    assert found.validation.goal is not None
+    assert found.validation.costs is not None
+    assert (found.validation.goal.shape[1], found.validation.costs.shape[1:]) == (1, (1, 3))
+    for spec in (replace(SPEC, cost_scale_s=0.0), replace(SPEC, goal=False)):
+        plain = gather([folder], [], spec, CONFIG).training
+        assert plain.goal is None or plain.goal.shape[1] == 1
 
 
 def test_a_model_tells_its_lens_and_goes_on_with_no_other(data: Path, tmp_path: Path) -> None:

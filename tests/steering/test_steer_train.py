@@ -64,6 +64,29 @@ def test_it_learns_what_turns_cost_and_not_the_yaw_beside() -> None:
     assert yaws == [5, 0]
 
 
+def test_it_learns_from_every_goal_what_turns_cost_and_pitch_from_its_own() -> None:
+    """Left is best where the goal is left, right where it is right; the frame's own goal is always left."""
+    config = SteeringConfig(width=32, height=32, half_classes=3, goal=True, outputs=("yaw", "pitch"))
+    goal = np.tile(np.array([-0.8, 0.8, -0.8], np.float32), (24, 1))
+    left = np.array([0, 1, 2, 3, 4, 5, 6], np.float32)
+    costs = np.tile(np.stack([left, left[::-1], left]), (24, 1, 1))
+    steering = np.tile(np.array([-1.0, 2 / 3], np.float32), (24, 1))
+    own = replace(posts(24, 1), steering=steering, goal=goal, costs=costs)
+    validation = replace(own, goal=goal[:, :1], costs=costs[:, :1])
+    torch.manual_seed(0)
+    spec = SteerSpec(epochs=25, batch=8, learning_rate=0.02, augment=Augment.none(), cost_scale_s=0.25)
+    learner = Trainer(SteeringNet(config), own, validation, spec, CPU)
+    learner.run()
+    best = {}
+    for name, bearing in (("left", -0.8), ("right", 0.8)):
+        asked = replace(validation, goal=np.full((24, 1), bearing, np.float32))
+        best[name] = {output: int(each.mean(axis=0).argmax()) for output, each in learner._logits(asked).items()}
+    assert best["left"] == {"yaw": 0, "pitch": 5}
+    assert best["right"]["yaw"] == 6
+    # Errors told of the training are those towards the frame's own goal.
+    assert learner.course.history[-1].train_mae < 0.25
+
+
 def test_temperatures_are_fitted_to_the_costs() -> None:
     own = replace(posts(24, 1), costs=np.zeros((24, 1, 7), np.float32))
     learner = Trainer(SteeringNet(CONFIG), own, own, SteerSpec(epochs=1, batch=8), CPU)
