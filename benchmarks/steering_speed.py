@@ -43,8 +43,9 @@ class Size:
     Parameters
     ----------
     width, height : int
-        Of the pictures.
-    batches : tuple of int
+        Of the pictures whose answers are timed.
+    trainings : tuple of (int, int, int)
+        Width, height and batch of the trainings.
     steps, rounds : int
         Steps of a training that are timed at a time, and how often each training has its turn.
     turns : int
@@ -55,7 +56,7 @@ class Size:
 
     width: int = 160
     height: int = 120
-    batches: tuple[int, ...] = (32, 64)
+    trainings: tuple[tuple[int, int, int], ...] = ((160, 120, 32), (160, 120, 64), (64, 32, 24))
     steps: int = 8
     rounds: int = 7
     turns: int = 25
@@ -63,7 +64,7 @@ class Size:
 
 
 NORMAL = Size()
-QUICK = Size(batches=(32,), steps=2, rounds=2, turns=4, epochs=1)
+QUICK = Size(trainings=((160, 120, 32), (64, 32, 24)), steps=2, rounds=2, turns=4, epochs=1)
 
 
 class PlainTraining:
@@ -122,12 +123,12 @@ def speed(size: Size, threads: int) -> list[Table]:
     """Time both trainings in turns, on frames that are made up."""
     torch.set_num_threads(threads)
     arithmetic = choose("auto")
-    config = SteeringConfig(width=size.width, height=size.height)
     rows = []
-    for batch in size.batches:
+    for width, height, batch in size.trainings:
+        config = SteeringConfig(width=width, height=height)
         spec = SteerSpec(batch=batch, epochs=1, patience=0, threads=threads)
         count = batch * size.steps
-        pictures, steering = made_up(count, size.width, size.height)
+        pictures, steering = made_up(count, width, height)
         frames = Frames(pictures, np.arange(count), steering, None)
         net, plain = SteeringNet(config), PlainTraining(config, frames, spec, arithmetic.device)
         ours, theirs = [], []
@@ -138,12 +139,12 @@ def speed(size: Size, threads: int) -> list[Table]:
                 theirs.append(seconds[1])
         ratio = np.array(theirs) / np.array(ours)
         rows.append({
-            "batch": batch, "hrt, images/s": count / float(np.median(ours)),
+            "size": f"{width}x{height}", "batch": batch, "hrt, images/s": count / float(np.median(ours)),
             "plain, images/s": count / float(np.median(theirs)), "hrt is faster by": float(np.median(ratio)),
             "least": float(ratio.min()), "most": float(ratio.max()),
         })  # fmt: skip
     notes = [
-        f"{size.width} x {size.height}, {size.steps} steps at a time, {size.rounds} turns each; {arithmetic_told()}",
+        f"{size.steps} steps at a time, {size.rounds} turns each; {arithmetic_told()}",
         f"hrt computes in {arithmetic.precision}, channels last, AdamW fused, batches made by a thread beside;",
         "plain: float32, NCHW, AdamW not fused, no thread beside; the same network, loss, clipping and augmentation",
     ]

@@ -388,7 +388,9 @@ def test_speed_and_latency_run(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     pytest.importorskip("onnxruntime")
-    monkeypatch.setattr(speed, "QUICK", replace(speed.QUICK, width=32, height=32, batches=(4,), steps=2, turns=1))
+    monkeypatch.setattr(
+        speed, "QUICK", replace(speed.QUICK, width=32, height=32, trainings=((32, 32, 4),), steps=2, turns=1)
+    )
     out = tmp_path / "out.json"
     assert bench.main(["speed", "--quick", "--threads", "1", "--json", str(out)]) == 0
     (row,) = json.loads(out.read_text(encoding="utf-8"))["tables"][0]["rows"]
