@@ -90,6 +90,17 @@ def test_the_steering_is_the_turn_that_costs_least() -> None:
     assert len({each.bearing_rad for each in lessons}) == 8
 
 
+def test_each_bearing_has_its_own_costs() -> None:
+    told = 0
+    for _, lesson in Glances(ground_site(np.zeros((200, 200), np.bool_)), UGV, 0.0, 2)(12):
+        goals = [lesson.bearing_rad, *lesson.others_rad]
+        for bearing, costs in zip(goals, [lesson.costs_s, *lesson.other_costs_s], strict=True):
+            if 0.5 < abs(bearing) < 2.0:
+                told += np.sign(ANGLES[int(costs.argmin())]) == np.sign(bearing)
+                told -= np.sign(ANGLES[int(costs.argmin())]) == -np.sign(bearing)
+    assert told > 30
+
+
 def test_all_is_drawn_from_the_seed() -> None:
     site = ground_site(posts())
     one, same, other = (list(Glances(site, UGV, 0.5, seed)(3)) for seed in (1, 1, 2))
@@ -116,11 +127,12 @@ def test_what_a_site_has_not_it_does_without() -> None:
     assert empty.near == 0
 
 
-class TestCommand:
-    @pytest.fixture(scope="class")
-    def world(self, tmp_path_factory: pytest.TempPathFactory) -> Path:
-        return put_world(tmp_path_factory.mktemp("land"), posts().astype(float), classes=posts().astype(int))
+@pytest.fixture(scope="module")
+def world(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return put_world(tmp_path_factory.mktemp("land"), posts().astype(float), classes=posts().astype(int))
 
+
+class TestCommand:
     def record(self, *args: object) -> Result:
         return CliRunner().invoke(cli, ["record", *map(str, args)])
 
@@ -137,6 +149,7 @@ class TestCommand:
         assert samples.other_goals is not None
         assert samples.other_costs_s is not None
         assert samples.other_goals.shape == (count, GOALS)
+        assert 0.5 < samples.other_goals.std() < 1.0
         assert samples.other_costs_s.shape == (count, GOALS, ANGLES.size)
         made = json_provenance(folder / "recording.json")
         assert made is not None

@@ -67,9 +67,9 @@ def test_it_learns_what_turns_cost_and_not_the_yaw_beside() -> None:
 def test_it_learns_from_every_goal_what_turns_cost_and_pitch_from_its_own() -> None:
     """Left is best where the goal is left, right where it is right; the frame's own goal is always left."""
     config = SteeringConfig(width=32, height=32, half_classes=3, goal=True, outputs=("yaw", "pitch"))
-    goal = np.tile(np.array([-0.8, 0.8, -0.8], np.float32), (24, 1))
+    goal = np.tile(np.array([-0.8, -0.8, 0.8], np.float32), (24, 1))
     left = np.array([0, 1, 2, 3, 4, 5, 6], np.float32)
-    costs = np.tile(np.stack([left, left[::-1], left]), (24, 1, 1))
+    costs = np.tile(np.stack([left, left, left[::-1]]), (24, 1, 1))
     steering = np.tile(np.array([-1.0, 2 / 3], np.float32), (24, 1))
     own = replace(posts(24, 1), steering=steering, goal=goal, costs=costs)
     validation = replace(own, goal=goal[:, :1], costs=costs[:, :1])
