@@ -94,7 +94,9 @@ class Album:
         labels = f"{lesson.yaw:.5f},{lesson.pitch:.5f}" if self._kind == "auv" else f"{lesson.yaw:.5f}"
         told = [f"{math.degrees(lesson.bearing_rad):.2f}", _spaced(lesson.costs_s)]
         told += [_spaced(np.degrees(lesson.others_rad)), _spaced(lesson.other_costs_s)]
-        self._rows.append(",".join([name, labels, session, *told]))
+        # It may be named after a file, and file names may hold commas.
+        quoted = '"' + session.replace('"', '""') + '"' if set(session) & set(',"') else session
+        self._rows.append(",".join([name, labels, quoted, *told]))
 
     def finish(self, provenance: Provenance, **more: Any) -> int:
         """Write the labels; return how many pictures there are.
@@ -145,7 +147,7 @@ def prepare_folder(folder: Path, inputs: Sequence[Path], *, overwrite: bool) -> 
         Something else stands in its place, or a recording that may not be replaced.
     """
     if any(folder.resolve() in path.resolve().parents or folder.resolve() == path.resolve() for path in inputs):
-        raise OutputError(f"{folder}: holds an input of the drive; record into another folder")
+        raise OutputError(f"{folder}: holds an input; record into another folder")
     if folder.exists() and not folder.is_dir():
         raise OutputError(f"{folder}: is a file; a recording needs a folder")
     ours = {LABELS, FRAMES, ABOUT}

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
+from contextlib import suppress
 from pathlib import Path
 
 from hrt_cli.artifacts.jsonio import parse_strict, read_text
@@ -131,7 +132,10 @@ def _others(values: dict[str, str], recording: Recording) -> tuple[tuple[float, 
 
 def _count(lines: list[Line], column: int) -> int:
     """Return how many numbers most rows have in a column."""
-    counts = Counter(len(line.text.split(",")[column].split()) for line in lines if line.text.count(",") >= column)
+    counts: Counter[int] = Counter()
+    for line in lines:
+        with suppress(MalformedRowError, IndexError):  # such rows are told of when they are read
+            counts[len(line.cells()[column].split())] += 1
     return counts.most_common(1)[0][0] if counts else 0
 
 

@@ -157,6 +157,11 @@ class TestCommand:
         checked = CliRunner().invoke(cli, ["verify", str(folder / "recording.json")])
         assert checked.exit_code == 0, checked.output
 
+    def test_a_folder_of_any_name(self, world: Path, tmp_path: Path) -> None:
+        folder = tmp_path / 'north, "steep" side'
+        assert self.record(world, "-o", folder, "--frames", 2).exit_code == 0
+        assert read_samples([folder]).sessions == (f"{folder.name}/{folder.name}-0-0",)
+
     def test_it_is_not_made_twice_and_not_replaced_unasked(self, world: Path, tmp_path: Path) -> None:
         folder = tmp_path / "g"
         assert self.record(world, "-o", folder, "--frames", 2).exit_code == 0
