@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
+from hrt_cli.driving.detour import Detour
 from hrt_cli.driving.goal import Goal
 from hrt_cli.driving.lens import camera_of, look
 from hrt_cli.driving.local import Command, Pose, careful
@@ -38,6 +41,7 @@ class Steer:
     def __init__(self, predictor: Predictor, setting: Setting) -> None:
         self._predictor, self._setting = predictor, setting
         self._camera, self._goal = camera_of(setting.site, setting.vehicle, setting.seed), Goal(setting.course)
+        self._detour = Detour()
         self._asked, self._yaw = 0, 0.0
         self._last: Command | None = None
 
@@ -50,16 +54,27 @@ class Steer:
         """See `LocalPlanner`."""
         bearing = self._goal.bearing_rad(known)
         if self._asked % _EVERY == 0:
-            self._last = self._command(true, bearing)
+            self._last = self._command(known, true, bearing)
         self._asked += 1
         return self._last
 
-    def _command(self, true: Pose, bearing_rad: float) -> Command:
+    def _command(self, known: Pose, true: Pose, goal_rad: float) -> Command:
         seed = 2_000_003 * self._setting.seed + self._asked
         frame = look(self._camera, self._setting.site, self._setting.vehicle, true, noise_seed=seed)
         config = self._predictor.config
-        goal = np.array([bearing_rad], np.float32) if config.goal else None
-        found = self._predictor.probabilities(fitted(frame.rgb, config)[None], goal)
+        picture = fitted(frame.rgb, config)[None]
+        if not config.goal:
+            return self._steered(self._predictor.probabilities(picture, None))
+
+        def ask(bearing_rad: float) -> dict[str, NDArray[np.float64]]:
+            return self._predictor.probabilities(picture, np.array([bearing_rad], np.float32))
+
+        bearing = self._detour.bearing_rad(known, goal_rad, lambda: best_angle(ask(0.0)["yaw"][0], None))
+        if self._detour.spinning:
+            return Command(math.copysign(1.0, self._yaw), 0.0, 0.0)
+        return self._steered(ask(bearing))
+
+    def _steered(self, found: dict[str, NDArray[np.float64]]) -> Command:
         self._yaw = best_angle(found["yaw"][0], self._yaw)
         pitch = best_angle(found["pitch"][0], None) if "pitch" in found else 0.0
         return careful(self._setting.vehicle, self._yaw, pitch)

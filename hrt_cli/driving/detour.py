@@ -1,0 +1,89 @@
+"""The way out of a place where a robot that sees turns to and fro.
+
+One that goes by a picture and a goal alone forgets what it saw a moment ago. In front of a thing that has to be gone
+round it turns left, sees the goal on its right, turns right, and sees the thing. What helps is what navigation stacks
+call a recovery behaviour (Nav2: spin): it looks once all round, notes where the way is free, and drives a few metres
+that way before it makes for its goal again.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+from hrt_cli.driving.local import Pose, wrapped
+
+_PLACE_M = 0.5
+"""A robot that has not left a circle of this radius is still at the same place."""
+_TO_AND_FRO_RAD = 2 * math.pi
+"""Whoever has turned by so much at one place does not get on: a turn about takes half of it."""
+_FREE = 0.3
+"""The way ahead is free where one with a goal straight ahead steers by less than this."""
+_FIRST_M, _LONGEST_M = 2.0, 8.0
+"""How far a first way out leads; each further one from about there leads twice as far."""
+_ABOUT_THERE_M = 3.0
+"""Places are about the same that lie no farther apart than this and the way out of the first."""
+_PATIENCE = 60
+"""A way out is given up after so many looks."""
+
+
+class Detour:
+    """Where a robot makes for that may have to leave a place first."""
+
+    def __init__(self) -> None:
+        self._place = self._last_place = (math.inf, math.inf)
+        self._heading_rad = self._turned_rad = 0.0
+        self._free: list[float] | None = None
+        self._out_rad: float | None = None
+        self._far_m, self._looks = _FIRST_M, 0
+
+    @property
+    def spinning(self) -> bool:
+        """Whether the robot has to turn on the spot now, whatever it sees."""
+        return self._free is not None
+
+    def bearing_rad(self, known: Pose, goal_rad: float, ahead: Callable[[], float]) -> float:
+        """Return the bearing to make for, in [-pi, pi), right positive; to be asked at every look.
+
+        Parameters
+        ----------
+        known : Pose
+        goal_rad : float
+            Bearing of the goal in the robot's frame.
+        ahead : callable
+            Tells how the robot would steer, in [-1, 1], if its goal were straight ahead.
+        """
+        here = (known.east_m, known.south_m)
+        self._turned_rad += abs(wrapped(known.heading_rad - self._heading_rad))
+        self._heading_rad = known.heading_rad
+        if self._out_rad is not None:
+            return self._leave(here, goal_rad, self._out_rad)
+        if self._free is not None:
+            return self._look_round(here, goal_rad, ahead, self._free)
+        if math.dist(here, self._place) > _PLACE_M:
+            self._place, self._turned_rad = here, 0.0
+        elif self._turned_rad > _TO_AND_FRO_RAD:
+            self._free, self._turned_rad = [], 0.0
+        return goal_rad
+
+    def _look_round(
+        self, here: tuple[float, float], goal_rad: float, ahead: Callable[[], float], free: list[float]
+    ) -> float:
+        if abs(ahead()) < _FREE:
+            free.append(self._heading_rad)
+        if self._turned_rad < 2 * math.pi:
+            return goal_rad
+        to_goal = self._heading_rad + goal_rad
+        nearest = min(free, key=lambda way: abs(wrapped(way - to_goal)), default=None)
+        again = math.dist(here, self._last_place) < _ABOUT_THERE_M + self._far_m
+        self._far_m = min(2 * self._far_m, _LONGEST_M) if again else _FIRST_M
+        self._place, self._last_place, self._free, self._out_rad = here, here, None, nearest
+        self._turned_rad, self._looks = 0.0, 0
+        return goal_rad if nearest is None else wrapped(nearest - self._heading_rad)
+
+    def _leave(self, here: tuple[float, float], goal_rad: float, out_rad: float) -> float:
+        self._looks += 1
+        if math.dist(here, self._place) > self._far_m or self._looks > _PATIENCE:
+            self._out_rad, self._place, self._turned_rad = None, here, 0.0
+            return goal_rad
+        return wrapped(out_rad - self._heading_rad)

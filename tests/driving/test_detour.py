@@ -1,0 +1,151 @@
+"""The way out of a place where a robot turns to and fro."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from world_files import ground_site
+
+from hrt_cli.driving.course import Course
+from hrt_cli.driving.detour import Detour
+from hrt_cli.driving.local import Pose, wrapped
+from hrt_cli.driving.simulator import Setting, first_heading, simulate
+from hrt_cli.driving.steer import Steer
+from hrt_cli.driving.vehicle import UGV
+from hrt_cli.steering.network import SteeringConfig
+
+HERE = Pose(5.0, 5.0, 0.0, 0.0, 0.0)
+STEP = math.radians(20.0)
+TURN = 18
+"""Steps once all round."""
+
+
+def never() -> float:
+    raise AssertionError("nobody has to look")
+
+
+def swing(detour: Detour, steps: int, pose: Pose = HERE, goal_rad: float = 0.0) -> Pose:
+    """Turn to and fro between two headings; the goal stays where it is."""
+    goal = pose.heading_rad + goal_rad
+    for k in range(steps):
+        pose = replace(pose, heading_rad=pose.heading_rad + (STEP if k % 2 == 0 else -STEP))
+        if detour.spinning:
+            break
+        bearing = detour.bearing_rad(pose, wrapped(goal - pose.heading_rad), never)
+        assert bearing == pytest.approx(wrapped(goal - pose.heading_rad))
+    return pose
+
+
+def spin(detour: Detour, pose: Pose, goal: float, free: Callable[[float], bool]) -> tuple[float, Pose]:
+    """Turn on while that is asked for; return the bearing told at the end."""
+    bearing, looks = math.nan, 0
+    while detour.spinning:
+        looks += 1
+        assert looks < 2 * TURN
+        pose = replace(pose, heading_rad=pose.heading_rad + STEP)
+        ahead = 0.1 if free(wrapped(pose.heading_rad)) else -0.9
+        bearing = detour.bearing_rad(pose, wrapped(goal - pose.heading_rad), lambda value=ahead: value)
+    assert looks in (TURN, TURN + 1), "once all round"
+    return bearing, pose
+
+
+def between(low: float, high: float) -> Callable[[float], bool]:
+    return lambda heading: math.radians(low) < heading < math.radians(high)
+
+
+def test_who_turns_about_or_gets_on_goes_where_its_goal_is() -> None:
+    detour = Detour()
+    swing(detour, TURN - 1)
+    assert not detour.spinning
+    on = Detour()
+    pose = HERE
+    for _ in range(20):
+        pose = swing(on, TURN // 2, pose)
+        pose = replace(pose, east_m=pose.east_m + 0.6)
+    assert not on.spinning
+
+
+def test_it_leaves_by_the_free_way_that_is_nearest_to_its_goal() -> None:
+    detour = Detour()
+    pose = swing(detour, 3 * TURN)
+    assert detour.spinning
+    bearing, pose = spin(detour, pose, 0.0, lambda way: between(70, 130)(way) or between(-150, -90)(way))
+    out = wrapped(pose.heading_rad + bearing)
+    assert math.degrees(out) == pytest.approx(80.0)
+    # That way for two metres, whatever its heading, then to the goal.
+    for far in (0.5, 1.9):
+        pose = replace(pose, east_m=HERE.east_m + far, heading_rad=pose.heading_rad + 0.3)
+        assert wrapped(pose.heading_rad + detour.bearing_rad(pose, 0.7, never)) == pytest.approx(out)
+    assert detour.bearing_rad(replace(pose, east_m=HERE.east_m + 2.1), 0.7, never) == 0.7
+
+
+def test_the_next_way_out_from_about_there_leads_farther() -> None:
+    detour, lengths = Detour(), []
+    for from_m in (0.0, 1.0, 2.0, 3.0, 40.0):
+        pose = swing(detour, 3 * TURN, replace(HERE, south_m=from_m))
+        _, pose = spin(detour, pose, 0.0, between(50, 70))
+        far = 0.0
+        while detour.bearing_rad(replace(pose, east_m=HERE.east_m + far), 3.0, never) != 3.0:
+            far += 0.25
+        lengths.append(far - 0.25)
+    assert lengths == [2.0, 4.0, 8.0, 8.0, 2.0]
+
+
+def test_without_a_free_way_it_goes_on_as_it_did() -> None:
+    detour = Detour()
+    pose = swing(detour, 3 * TURN)
+    bearing, pose = spin(detour, pose, 0.0, lambda way: False)
+    assert bearing == pytest.approx(wrapped(0.0 - pose.heading_rad))
+    swing(detour, TURN - 1, pose)
+    assert not detour.spinning, "it may turn as much as before"
+
+
+def test_a_way_that_leads_nowhere_is_given_up() -> None:
+    detour = Detour()
+    pose = swing(detour, 3 * TURN)
+    _, pose = spin(detour, pose, 0.0, between(50, 70))
+    assert [detour.bearing_rad(pose, 3.0, never) == 3.0 for _ in range(62)].index(True) == 60
+
+
+class Forgetful:
+    """Turns away from what it sees before it, to its goal where it sees nothing: it knows the robot's pose."""
+
+    config = SteeringConfig(outputs=("yaw",), half_classes=7, width=40, height=32, goal=True)
+    thing = (5.0, 5.0)
+
+    def __init__(self) -> None:
+        self.pose = HERE
+
+    def probabilities(self, pictures: NDArray[np.uint8], goal: NDArray[np.float32] | None) -> dict[str, NDArray]:
+        assert goal is not None
+        east, south = self.thing[0] - self.pose.east_m, self.thing[1] - self.pose.south_m
+        to_it = wrapped(math.atan2(east, -south) - self.pose.heading_rad)
+        near = math.hypot(east, south) < 1.5 and abs(to_it) < 0.7
+        yaw = -math.copysign(1.0, to_it) if near else float(np.clip(goal[0] / (math.pi / 4), -1, 1))
+        return {"yaw": np.exp(-(((np.linspace(-1, 1, 15) - yaw) / 0.05) ** 2))[None]}
+
+
+def test_a_robot_that_forgets_what_it_saw_gets_round_a_thing(monkeypatch: pytest.MonkeyPatch) -> None:
+    course = Course(np.array([[5.0, 8.5], [5.0, 1.0]]))
+    blocked = np.zeros((100, 100), np.bool_)
+    blocked[48:52, 48:52] = True
+    setting = Setting(ground_site(blocked), UGV, course, UGV.cruise_m_s, 150.0, first_heading(course), 3)
+
+    def drive() -> str:
+        model = Forgetful()
+
+        def watch(time_s: float, known: Pose, true: Pose, command: object) -> None:
+            model.pose = true
+
+        found = simulate(setting, Steer(model, setting), watch=watch)  # type: ignore[arg-type]
+        assert not [event for _, event in found.events if event == "collision"]
+        return found.end
+
+    assert drive() == "arrived"
+    monkeypatch.setattr(Detour, "bearing_rad", lambda self, known, goal_rad, ahead: goal_rad)
+    assert drive() != "arrived", "or else nothing was shown"
