@@ -13,7 +13,7 @@ from hrt_cli.driving.lens import camera_of, look
 from hrt_cli.driving.local import Command, Pose, careful
 from hrt_cli.driving.simulator import Setting
 from hrt_cli.steering.pictures import fitted
-from hrt_cli.steering.predictor import Predictor
+from hrt_cli.steering.predictor import Distributions, Predictor
 
 _EVERY = 2
 """Decisions from one frame to the next: five frames a second."""
@@ -66,7 +66,7 @@ class Steer:
         if not config.goal:
             return self._steered(self._predictor.probabilities(picture, None))
 
-        def ask(bearing_rad: float) -> dict[str, NDArray[np.float64]]:
+        def ask(bearing_rad: float) -> Distributions:
             return self._predictor.probabilities(picture, np.array([bearing_rad], np.float32))
 
         bearing = self._detour.bearing_rad(known, goal_rad, lambda: best_angle(ask(0.0)["yaw"][0], None))
@@ -74,7 +74,7 @@ class Steer:
             return Command(math.copysign(1.0, self._yaw), 0.0, 0.0)
         return self._steered(ask(bearing))
 
-    def _steered(self, found: dict[str, NDArray[np.float64]]) -> Command:
+    def _steered(self, found: Distributions) -> Command:
         self._yaw = best_angle(found["yaw"][0], self._yaw)
         pitch = best_angle(found["pitch"][0], None) if "pitch" in found else 0.0
         return careful(self._setting.vehicle, self._yaw, pitch)
