@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from contextlib import closing
 from dataclasses import dataclass, field
 
@@ -215,9 +215,9 @@ class Trainer:
         penalty = net.penalty(weight_decay=spec.length_scale**2 / (2.0 * n), dropout_decay=1.0 / n)
         self.optimiser.zero_grad(set_to_none=True)
         (loss + spec.dropout_weight * penalty).backward()
-        norm = torch.nn.utils.clip_grad_norm_(net.parameters(), spec.clip_norm)
+        norm = clip_gradients(net.parameters(), spec.clip_norm)
         value = loss.item()
-        if not (math.isfinite(value) and math.isfinite(norm.item())):
+        if not (math.isfinite(value) and math.isfinite(norm)):
             raise self._diverged()
         self.optimiser.step()
         course.batch += 1
@@ -285,6 +285,18 @@ class Trainer:
         self.whole = False
         where = f"epoch {self.course.epoch + 1}, learning rate {self._spec.learning_rate:g}"
         return ArgumentError(f"the training diverged ({where}): its loss is no number; use a lower --learning-rate")
+
+
+def clip_gradients(parameters: Iterable[torch.nn.Parameter], clip_norm: float) -> float:
+    """Make the gradients together no longer than a norm, as `clip_grad_norm_` does; return what it was.
+
+    That goes over all of them once more even where there is nothing to be done.
+    """
+    held = list(parameters)
+    norm = torch.nn.utils.get_total_norm([each.grad for each in held if each.grad is not None])
+    if not norm.item() + 1e-6 <= clip_norm:
+        torch.nn.utils.clip_grads_with_norm_(held, clip_norm, norm)
+    return norm.item()
 
 
 def _optimiser(net: SteeringNet, spec: SteerSpec) -> torch.optim.AdamW:

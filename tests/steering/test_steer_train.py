@@ -12,7 +12,7 @@ import torch
 from torch import nn
 
 from hrt_cli.errors import ArgumentError
-from hrt_cli.steering import network
+from hrt_cli.steering import network, train
 from hrt_cli.steering.augment import Augment
 from hrt_cli.steering.batches import Frames, dropout_seed
 from hrt_cli.steering.calibrate import HIGHEST
@@ -152,6 +152,20 @@ def test_a_step_is_the_step_of_plain_pytorch() -> None:
     mae = ((f * angles).sum(1) - steering[:, 0]).abs().mean().item()
     assert found.course.history[0].train_mae == pytest.approx(mae, rel=1e-5)
     assert found.course.history[0].learning_rate == 0.01
+
+
+@pytest.mark.parametrize("scale", [1e-3, 1.0, 1e3, math.inf])
+def test_gradients_are_clipped_as_pytorch_clips_them(scale: float) -> None:
+    """To the bit: to leave out a product with 1 changes nothing."""
+    rng, nets = torch.Generator().manual_seed(3), []
+    net = SteeringNet(CONFIG)
+    gradients = {name: scale * torch.randn(each.shape, generator=rng) for name, each in net.named_parameters()}
+    for clip in (train.clip_gradients, torch.nn.utils.clip_grad_norm_):
+        for name, each in net.named_parameters():
+            each.grad = None if name == "trunk.conv1.weight" else gradients[name].clone()
+        norm = float(clip(net.parameters(), 0.7))
+        nets.append([norm, *(each.grad.clone() for each in net.parameters() if each.grad is not None)])
+    torch.testing.assert_close(*nets, rtol=0, atol=0, equal_nan=True)
 
 
 def test_it_learns_what_the_picture_shows() -> None:
