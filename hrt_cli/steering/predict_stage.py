@@ -29,7 +29,7 @@ from hrt_cli.steering.sources import Frame, Reader, Source, find_sources, goal_d
 from hrt_cli.steering.uncertainty import uncertainty
 
 STAGE, OVERLAY_STAGE = "steer", "steer-overlay"
-STAGE_VERSION, OVERLAY_VERSION = 1, 1
+STAGE_VERSION, OVERLAY_VERSION = 2, 2
 SEED = 0
 PASSES = 50
 SALIENCY_LAYER: Layer = "layer3"

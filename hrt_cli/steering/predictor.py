@@ -42,7 +42,8 @@ class TorchPredictor:
     """A network on the CPU; see `Predictor`."""
 
     def __init__(self, net: SteeringNet) -> None:
-        self._net = net.eval()
+        # Weights laid out as the pictures are: else each is turned round again for every picture.
+        self._net: SteeringNet = net.eval().to(memory_format=torch.channels_last)  # type: ignore[call-overload]
 
     @property
     def config(self) -> SteeringConfig:
