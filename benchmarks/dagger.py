@@ -4,9 +4,9 @@
 
 SITE is a folder with ortho.tif and dsm.tif. The learning is `make -f steer.mk`, KEY=VALUE as for make, in DIR/dagger;
 behavioural cloning is the same with one round and without glances, in which the expert drives, undisturbed, as many
-drives as all rounds have, and as many frames are shown to the network (DIR/cloning). What was made stays in DIR and is
-not made again. Both then drive courses that nobody trained on: other random legs, once as they come, and once so that
-three in four lead across something that has to be gone round.
+drives as all rounds have, and as many frames are shown to the network (DIR/cloning). What was made stays in DIR, with
+the CPU time that it took, and is not made again. Both then drive courses that nobody trained on: other random legs,
+once as they come, and once so that three in four lead across something that has to be gone round.
 """
 
 from __future__ import annotations
@@ -56,8 +56,11 @@ class Tally:
 
 
 def learn(folder: Path, site: Path, settings: dict[str, str]) -> float:
-    """Run the workflow; return the seconds of CPU time that it took, 0 where there was nothing to do."""
+    """Run the workflow; return the seconds of CPU time that all in the folder took, nan where a run was broken off."""
+    spent = folder / "cpu_seconds.txt"
+    so_far = (float(spent.read_text()) if spent.exists() else math.nan) if folder.exists() else 0.0
     create_project(folder)
+    spent.unlink(missing_ok=True)
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
     path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
     subprocess.run(
@@ -66,7 +69,9 @@ def learn(folder: Path, site: Path, settings: dict[str, str]) -> float:
         check=True, env=os.environ | {"PATH": path}, stdout=subprocess.DEVNULL,
     )  # fmt: skip
     after = resource.getrusage(resource.RUSAGE_CHILDREN)
-    return after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+    seconds = so_far + after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+    spent.write_text(f"{seconds}\n")
+    return seconds
 
 
 def drive(
