@@ -264,7 +264,7 @@ def _steer(model: Path, setting: Setting) -> LocalPlanner:
     from hrt_cli.steering.predictor import load_predictor
     from hrt_cli.steering.samples import check_lens
 
-    predictor = load_predictor(model)
+    predictor = load_predictor(model, threads=1)
     swims = setting.vehicle.kind == "auv"
     if swims != ("pitch" in predictor.config.outputs):
         raise InputError(model, f"steers {' and '.join(predictor.config.outputs)}: made for another kind of robot")

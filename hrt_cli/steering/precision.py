@@ -72,6 +72,17 @@ def cpu_computes_bf16(cpuinfo: Path = _CPUINFO) -> bool:
 
 
 @contextmanager
+def on_threads(count: int) -> Iterator[None]:
+    """Compute on so many threads of the CPU (0: as many as were set), and set what was set before in the end."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(count or before)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)
+
+
+@contextmanager
 def repeatable(arithmetic: Arithmetic, threads: int) -> Iterator[None]:
     """Compute so that the same is computed again; put PyTorch's global settings back in the end.
 
@@ -87,15 +98,13 @@ def repeatable(arithmetic: Arithmetic, threads: int) -> Iterator[None]:
         os.environ.setdefault("CUBLAS_WORKSPACE_CONFIG", ":4096:8")
     deterministic = torch.utils.deterministic
     before = (
-        torch.get_num_threads(),
         torch.are_deterministic_algorithms_enabled(),
         torch.is_deterministic_algorithms_warn_only_enabled(),
         deterministic.fill_uninitialized_memory,  # type: ignore[attr-defined]
         torch.backends.cudnn.allow_tf32,
     )
-    torch.set_num_threads(threads)
     try:
-        with torch.random.fork_rng(), warnings.catch_warnings():
+        with on_threads(threads), torch.random.fork_rng(), warnings.catch_warnings():
             torch.use_deterministic_algorithms(True, warn_only=on_gpu)
             # Nothing here reads what it has not written, and filling it takes time.
             deterministic.fill_uninitialized_memory = False  # type: ignore[attr-defined]
@@ -104,7 +113,6 @@ def repeatable(arithmetic: Arithmetic, threads: int) -> Iterator[None]:
                 warnings.filterwarnings("ignore", message=".*does not have a deterministic implementation")
             yield
     finally:
-        torch.set_num_threads(before[0])
-        torch.use_deterministic_algorithms(before[1], warn_only=before[2])
-        deterministic.fill_uninitialized_memory = before[3]  # type: ignore[attr-defined]
-        torch.backends.cudnn.allow_tf32 = before[4]
+        torch.use_deterministic_algorithms(before[0], warn_only=before[1])
+        deterministic.fill_uninitialized_memory = before[2]  # type: ignore[attr-defined]
+        torch.backends.cudnn.allow_tf32 = before[3]

@@ -13,6 +13,7 @@ from torch import Tensor
 from hrt_cli.steering.model import read_model
 from hrt_cli.steering.network import Output, SteeringConfig, SteeringNet
 from hrt_cli.steering.pictures import prepare
+from hrt_cli.steering.precision import on_threads
 from hrt_cli.steering.saliency import Layer, angle_maps
 
 Distributions = dict[Output, NDArray[np.float64]]
@@ -39,9 +40,18 @@ class Predictor(Protocol):
 
 
 class TorchPredictor:
-    """A network on the CPU; see `Predictor`."""
+    """A network on the CPU; see `Predictor`.
 
-    def __init__(self, net: SteeringNet) -> None:
+    Parameters
+    ----------
+    net : SteeringNet
+    threads : int
+        0 for as many as PyTorch takes. A single small picture is best left to one: more of them mostly wait for each
+        other.
+    """
+
+    def __init__(self, net: SteeringNet, *, threads: int = 0) -> None:
+        self._threads = threads
         # Weights laid out as the pictures are: else each is turned round again for every picture.
         self._net: SteeringNet = net.eval().to(memory_format=torch.channels_last)  # type: ignore[call-overload]
 
@@ -54,7 +64,8 @@ class TorchPredictor:
     def probabilities(self, pictures: NDArray[np.uint8], goal: NDArray[np.float32] | None = None) -> Distributions:
         """See `Predictor`."""
         seen = torch.from_numpy(prepare(pictures, self.config)).contiguous(memory_format=torch.channels_last)
-        logits = self._net(seen, None if goal is None else torch.from_numpy(goal))
+        with on_threads(self._threads):
+            logits = self._net(seen, None if goal is None else torch.from_numpy(goal))
         return {name: values.numpy() for name, values in self._probability(logits).items()}
 
     @torch.inference_mode()
@@ -103,10 +114,13 @@ class TorchPredictor:
         return {name: torch.softmax(each.double() / temperature.get(name, 1.0), -1) for name, each in logits.items()}
 
 
-def load_predictor(path: Path) -> Predictor:
-    """Return what predicts by a model file: one that was exported (`.onnx`), or a model itself (`model.read_model`)."""
+def load_predictor(path: Path, *, threads: int = 0) -> Predictor:
+    """Return what predicts by a model file: one that was exported (`.onnx`), or a model itself (`model.read_model`).
+
+    It computes on so many threads of the CPU; 0 for as many as its library takes.
+    """
     if path.suffix.lower() == ".onnx":
         from hrt_cli.steering.onnx_model import OnnxPredictor
 
-        return OnnxPredictor(path)
-    return TorchPredictor(read_model(path))
+        return OnnxPredictor(path, threads=threads)
+    return TorchPredictor(read_model(path), threads=threads)

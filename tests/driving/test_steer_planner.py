@@ -298,16 +298,21 @@ def homing(seed: int = 0) -> SteeringNet:
     return net
 
 
-def test_a_network_in_a_file_drives_to_where_it_is_told(world: Path, plan: Path, tmp_path: Path) -> None:
+def test_a_network_in_a_file_drives_to_where_it_is_told(
+    world: Path, plan: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """On one thread, so that it is the same drive on any machine."""
+    threads, set_threads = [], torch.set_num_threads
+    monkeypatch.setattr(torch, "set_num_threads", lambda count: (threads.append(count), set_threads(count)))
     model = put_net(tmp_path / "m.safetensors", homing())
     request = DriveRequest("steer", model, time_limit_s=40.0, seed=2)
     logs = [tmp_path / "1.jsonl", tmp_path / "2.jsonl"]
-    torch.set_num_threads(1)
     for path in logs:
         found = drive_file(plan, world, path, request)
         assert (found.end, found.collisions, found.interventions) == ("arrived", 0, 0)
         assert found.distance_m == pytest.approx(5.0, abs=0.7)
     assert logs[0].read_bytes() == logs[1].read_bytes()
+    assert 1 in threads
     assert read_drive_log(logs[0]).place[-1] == pytest.approx(map_xy(7.0, 3.0), abs=1.0)
     told = {each.role: each.sha256 for each in drive_provenance(logs[0]).inputs}
     assert told["model"] == file_sha256(model)
@@ -321,7 +326,6 @@ def test_an_untrained_network_drives_the_same_way_twice(world: Path, plan: Path,
         net = SteeringNet(SteeringConfig(width=64, height=48, goal=True))
         torch.nn.init.normal_(net.heads["yaw"].weight, std=0.5)
     model = put_net(tmp_path / "m.safetensors", net)
-    torch.set_num_threads(1)
     request = DriveRequest("steer", model, time_limit_s=6.0)
     logs = [tmp_path / "1.jsonl", tmp_path / "2.jsonl", tmp_path / "3.jsonl"]
     for path, seed in zip(logs, (0, 0, 1), strict=True):

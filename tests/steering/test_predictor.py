@@ -36,6 +36,19 @@ def test_probabilities_are_the_softmax_of_the_cooled_logits(net: SteeringNet, tm
     np.testing.assert_allclose(found.sum(1), 1.0, atol=1e-12)
 
 
+@pytest.mark.parametrize(("asked", "used"), [(0, 3), (1, 1), (2, 2)])
+def test_it_computes_on_as_many_threads_as_it_was_told(net: SteeringNet, asked: int, used: int) -> None:
+    before, seen = torch.get_num_threads(), []
+    handle = net.register_forward_pre_hook(lambda *_: seen.append(torch.get_num_threads()))
+    torch.set_num_threads(3)
+    try:
+        TorchPredictor(net, threads=asked).probabilities(noise(1))
+        assert (seen, torch.get_num_threads()) == ([used], 3)
+    finally:
+        handle.remove()
+        torch.set_num_threads(before)
+
+
 def test_passes_are_masks_on_the_features(net: SteeringNet) -> None:
     pictures = noise(2)
     found = TorchPredictor(net).sampled(pictures, None, 4, seed=9)["yaw"]
