@@ -21,6 +21,8 @@ _BESIDE = 2
 """Classes on either side of the best one over which the angle is averaged."""
 _STEADY = 2.0
 """By so much falls the logarithm of what is thought of an angle, by its distance from the last one that was taken."""
+_SURE = 0.5
+"""Share of the probability about the best class below which the network does not know where the way is free."""
 
 
 class Steer:
@@ -69,19 +71,28 @@ class Steer:
         def ask(bearing_rad: float) -> Distributions:
             return self._predictor.probabilities(picture, np.array([bearing_rad], np.float32))
 
-        bearing = self._detour.bearing_rad(known, goal_rad, lambda: best_angle(ask(0.0)["yaw"][0], None))
+        bearing = self._detour.bearing_rad(known, goal_rad, lambda: self._yaw_by(ask(0.0)["yaw"][0], None))
         if self._detour.spinning:
             return Command(math.copysign(1.0, self._yaw), 0.0, 0.0)
         return self._steered(ask(bearing))
 
     def _steered(self, found: Distributions) -> Command:
-        self._yaw = best_angle(found["yaw"][0], self._yaw)
-        pitch = best_angle(found["pitch"][0], None) if "pitch" in found else 0.0
+        self._yaw = self._yaw_by(found["yaw"][0], self._yaw)
+        pitch = best_angle(found["pitch"][0], None)[0] if "pitch" in found else 0.0
         return careful(self._setting.vehicle, self._yaw, pitch)
 
+    def _yaw_by(self, probability: NDArray[np.float64], last: float | None) -> float:
+        angle, share = best_angle(probability, last)
+        if share >= _SURE or self._setting.vehicle.kind == "auv":
+            return angle
+        # It looks elsewhere: turning on the spot it cannot run into anything.
+        held = _held(probability, last)
+        half = probability.size // 2
+        return math.copysign(1.0, held[half + 1 :].sum() - held[:half].sum())
 
-def best_angle(probability: NDArray[np.float64], last: float | None) -> float:
-    """Return the mean of the angles about the best class of a distribution, the steadier the better.
+
+def best_angle(probability: NDArray[np.float64], last: float | None) -> tuple[float, float]:
+    """Return the mean of the angles about the best class of a distribution, the steadier the better, and their share.
 
     Parameters
     ----------
@@ -89,8 +100,15 @@ def best_angle(probability: NDArray[np.float64], last: float | None) -> float:
     last : float, optional
         The angle before; without it all classes are equal.
     """
-    angles = np.linspace(-1.0, 1.0, probability.size)
-    held = probability if last is None else probability * np.exp(-_STEADY * np.abs(angles - last))
-    best = int(np.convolve(held, [0.5, 1.0, 0.5], mode="same").argmax())
+    best = int(np.convolve(_held(probability, last), [0.5, 1.0, 0.5], mode="same").argmax())
     near = slice(max(best - _BESIDE, 0), best + _BESIDE + 1)
-    return float((probability[near] * angles[near]).sum() / probability[near].sum())
+    share = float(probability[near].sum())
+    return float((probability[near] * _angles(probability)[near]).sum()) / share, share
+
+
+def _held(probability: NDArray[np.float64], last: float | None) -> NDArray[np.float64]:
+    return probability if last is None else probability * np.exp(-_STEADY * np.abs(_angles(probability) - last))
+
+
+def _angles(probability: NDArray[np.float64]) -> NDArray[np.float64]:
+    return np.linspace(-1.0, 1.0, probability.size)

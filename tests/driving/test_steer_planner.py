@@ -99,10 +99,32 @@ def test_it_takes_the_mean_about_the_best_class(distribution: NDArray[np.float64
 
 def test_it_stays_with_the_side_that_it_took() -> None:
     both = peaks(k_5=0.5, k5=0.45)
-    assert best_angle(both, None) == pytest.approx(-5 / 7)
-    assert best_angle(both, 0.0) == pytest.approx(-5 / 7)
-    assert best_angle(both, 0.6) == pytest.approx(5 / 7)
-    assert best_angle(peaks(k_5=0.97, k5=0.03), 0.6) == pytest.approx(-5 / 7), "but not against all reason"
+    for last, angle, share in ((None, -5 / 7, 0.5), (0.0, -5 / 7, 0.5), (0.6, 5 / 7, 0.45)):
+        assert best_angle(both, last) == pytest.approx((angle, share / 0.95))
+    assert best_angle(peaks(k_5=0.97, k5=0.03), 0.6)[0] == pytest.approx(-5 / 7), "but not against all reason"
+
+
+def test_where_it_does_not_know_it_turns_on_the_spot() -> None:
+    """To the likelier side, and on to that one: the way ahead is a little likelier than any other, but not likely."""
+    unsure = peaks(k_7=0.16, k_4=0.04, k_1=0.11, k0=0.21, k1=0.11, k4=0.14, k7=0.23)
+    assert decided(Model(yaw=unsure)) == Command(1.0, 0.0, 0.0)
+    assert decided(Model(yaw=unsure[::-1])) == Command(-1.0, 0.0, 0.0)
+    planner = Steer(Model(yaw=peaks(k_7=1.0)), setting())
+    planner.decide(MIDDLE, MIDDLE)
+    planner.decide(MIDDLE, MIDDLE)
+    planner._predictor = Model(yaw=unsure)
+    command = planner.decide(MIDDLE, MIDDLE)
+    assert command == Command(-1.0, 0.0, 0.0)
+    surer = peaks(k_7=0.11, k_4=0.04, k_1=0.13, k0=0.25, k1=0.14, k4=0.14, k7=0.19)
+    assert decided(Model(yaw=surer)).yaw == pytest.approx((0.14 - 0.13) / 0.52 / 7)
+
+
+def test_a_diver_that_does_not_know_swims_on() -> None:
+    unsure = peaks(k_7=0.16, k_4=0.04, k_1=0.11, k0=0.21, k1=0.11, k4=0.14, k7=0.23)
+    model = Model(yaw=unsure, pitch=peaks(k0=1.0))
+    command = decided(model, Pose(5.0, 5.0, -3.0, 0.0, 0.0), site=water())
+    assert command.yaw == pytest.approx(0.0)
+    assert command.speed == pytest.approx(1.0)
 
 
 def test_it_drives_slower_in_turns() -> None:
