@@ -23,7 +23,7 @@ _SPREAD_RAD, _WIDEST_RAD = 0.7, 2.6
 _NEAREST_M = 2.0
 _ASIDE_M = 1.5
 """A goal where the robot may not be stands for the nearest place where it may, so far from it at most."""
-_DEAREST_S, _BEYOND_S = 14.0, 4.0
+_DEAREST_S, _BEYOND_S = 14.0, 3.0
 """What the way there may cost, at 1 m/s; and how much dearer than where the robot is the ways are that are found."""
 _TRIES = 4
 

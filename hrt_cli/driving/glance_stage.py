@@ -17,7 +17,7 @@ from hrt_cli.progress import Progress, silent
 from hrt_cli.world.site import load_site, site_files
 
 STAGE = "record"
-STAGE_VERSION = 1
+STAGE_VERSION = 2
 
 
 @dataclass(frozen=True)

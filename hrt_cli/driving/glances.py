@@ -100,22 +100,24 @@ class Glances:
 
     def _place(self, near: bool, rng: np.random.Generator) -> tuple[Pose, Goals]:
         """Return a place and goals; where none of those drawn is as wanted, one that is not."""
-        other = None
+        others = []
         for _ in range(_TRIES):
             pose = self._pose(rng)
-            as_wanted = pose is not None and self._is_near(pose, rng) == near
-            if pose is None or (other is not None and not as_wanted):
+            if pose is None:
+                continue
+            if self._is_near(pose, rng) != near:
+                others.append(pose)
                 continue
             goals = self._elsewhere.goals(pose, 1 + GOALS, rng)
-            if goals is not None and as_wanted:
+            if goals is not None:
                 self.near += near
                 return pose, goals
+        for pose in others:
+            goals = self._elsewhere.goals(pose, 1 + GOALS, rng)
             if goals is not None:
-                other = pose, goals
-        if other is None:
-            raise ArgumentError(f"from none of {_TRIES} random places there is a way to any goal")
-        self.near += not near
-        return other
+                self.near += not near
+                return pose, goals
+        raise ArgumentError(f"from none of {_TRIES} random places there is a way to any goal")
 
     def _is_near(self, pose: Pose, rng: np.random.Generator) -> bool:
         """Whether something is in the way of the robot, the rim aside: no goal lies beyond that.
