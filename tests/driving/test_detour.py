@@ -74,9 +74,10 @@ def test_it_leaves_by_the_free_way_that_is_nearest_to_its_goal() -> None:
     detour = Detour()
     pose = swing(detour, 3 * TURN)
     assert detour.spinning
-    bearing, pose = spin(detour, pose, 0.0, lambda way: between(70, 130)(way) or between(-150, -90)(way))
+    # It sees the other way, on its right, first.
+    bearing, pose = spin(detour, pose, 0.0, lambda way: between(90, 130)(way) or between(-150, -70)(way))
     out = wrapped(pose.heading_rad + bearing)
-    assert math.degrees(out) == pytest.approx(80.0)
+    assert math.degrees(out) == pytest.approx(-80.0)
     # That way for two metres, whatever its heading, then to the goal.
     for far in (0.5, 1.9):
         pose = replace(pose, east_m=HERE.east_m + far, heading_rad=pose.heading_rad + 0.3)
