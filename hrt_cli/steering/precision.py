@@ -7,7 +7,6 @@ that it picks for the kind of CPU or GPU; nobody chooses those, and they are not
 
 from __future__ import annotations
 
-import ctypes
 import os
 import re
 import warnings
@@ -26,9 +25,6 @@ Precision = Literal["auto", "float32", "bf16"]
 _CPUINFO = Path("/proc/cpuinfo")
 _NATIVE = {"avx512_bf16", "amx_bf16"}
 """What Linux calls a CPU's own bfloat16 arithmetic. Without it PyTorch emulates: ten times slower than float32."""
-
-_M_TRIM_THRESHOLD, _M_MMAP_MAX = -1, -4
-"""glibc's names of what `mallopt` sets (malloc.h)."""
 
 
 @dataclass(frozen=True)
@@ -73,20 +69,6 @@ def cpu_computes_bf16(cpuinfo: Path = _CPUINFO) -> bool:
         return False  # no Linux: float32 is right anywhere
     cores = [set(flags.split()) for flags in re.findall(r"^flags\s*:(.*)$", text, re.MULTILINE)]
     return bool(cores) and all(_NATIVE & flags for flags in cores) and torch.backends.mkldnn.is_available()  # type: ignore[no-untyped-call]
-
-
-def keep_memory() -> None:
-    """Have the C library keep what this process frees, for what it takes next.
-
-    Every step of a training takes and frees as much; from the system each page of it comes anew, and zeroed. Only
-    where the library is glibc.
-    """
-    try:
-        mallopt = ctypes.CDLL(None).mallopt
-    except (OSError, AttributeError, TypeError):
-        return
-    mallopt(_M_MMAP_MAX, 0)
-    mallopt(_M_TRIM_THRESHOLD, 2**31 - 1)
 
 
 @contextmanager

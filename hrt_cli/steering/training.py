@@ -24,7 +24,7 @@ from hrt_cli.steering.checkpoint import Checkpoint
 from hrt_cli.steering.gather import Gathered, gather
 from hrt_cli.steering.model import model_provenance, publish_model, read_model, read_training
 from hrt_cli.steering.network import Output, SteeringConfig, SteeringNet
-from hrt_cli.steering.precision import Arithmetic, Precision, choose, keep_memory, repeatable
+from hrt_cli.steering.precision import Arithmetic, Precision, choose, repeatable
 from hrt_cli.steering.resnet import IMAGENET_MEAN, IMAGENET_STD, load_published
 from hrt_cli.steering.samples import check_lens
 from hrt_cli.steering.signals import undivided
@@ -230,7 +230,6 @@ def _train(
     provenance: Provenance,
     progress: Progress,
 ) -> SteerTraining:
-    keep_memory()
     with ExitStack() as stack:
         # Both load parts of PyTorch, and half a module that a signal leaves behind fails whoever asks for it next.
         with undivided():

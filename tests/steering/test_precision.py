@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-import ctypes
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 import torch
 
 from hrt_cli.steering import precision
-from hrt_cli.steering.precision import Arithmetic, choose, cpu_computes_bf16, keep_memory, repeatable
+from hrt_cli.steering.precision import Arithmetic, choose, cpu_computes_bf16, repeatable
 
 CORE = "processor\t: {}\nflags\t\t: fpu avx avx2 {}\nbugs\t\t: spectre\n\n"
 
@@ -72,35 +69,3 @@ def test_settings_and_generator_of_pytorch_are_put_back() -> None:
     assert torch.get_num_threads() == threads
     assert not torch.are_deterministic_algorithms_enabled()
     torch.testing.assert_close(torch.rand(3), expected)
-
-
-_FAULTS = """
-import resource
-from hrt_cli.steering.precision import keep_memory
-import torch
-if {keep}:
-    keep_memory()
-def faults():
-    before = resource.getrusage(resource.RUSAGE_SELF).ru_minflt
-    for _ in range(20):
-        [torch.ones(4_000_000) for _ in range(8)]
-    return resource.getrusage(resource.RUSAGE_SELF).ru_minflt - before
-faults()
-print(faults())
-"""
-
-
-def test_memory_that_is_freed_is_used_again() -> None:
-    """Twenty times 128 MB of pages of 4 kB; kept, they come from the system once."""
-    if not hasattr(ctypes.CDLL(None), "mallopt"):
-        pytest.skip("the C library is not glibc")
-    found = [
-        int(subprocess.run([sys.executable, "-c", _FAULTS.format(keep=keep)], capture_output=True, text=True).stdout)
-        for keep in (False, True)
-    ]
-    assert found[1] < 0.1 * found[0]
-
-
-def test_a_c_library_without_mallopt_is_left_alone(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(ctypes, "CDLL", lambda name: object())
-    keep_memory()
