@@ -290,7 +290,7 @@ class Trainer:
 def clip_gradients(parameters: Iterable[torch.nn.Parameter], clip_norm: float) -> float:
     """Make the gradients together no longer than a norm, as `clip_grad_norm_` does; return what it was.
 
-    That goes over all of them once more even where there is nothing to be done.
+    PyTorch's multiplies all of them even where that is by 1; that is a pass over all the memory that they take.
     """
     held = list(parameters)
     norm = torch.nn.utils.get_total_norm([each.grad for each in held if each.grad is not None])
