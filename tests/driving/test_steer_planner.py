@@ -119,6 +119,20 @@ def test_where_it_does_not_know_it_turns_on_the_spot() -> None:
     assert decided(Model(yaw=surer)).yaw == pytest.approx((0.14 - 0.13) / 0.52 / 7)
 
 
+def test_one_that_turned_to_and_fro_looks_round_before_it_drives_on() -> None:
+    """On the spot, on to the side of its last turn, though the model would drive on."""
+    planner = Steer(Model(goal=True, yaw=peaks(k_1=1.0)), setting())
+    commands = []
+    for k in range(60):
+        pose = replace(MIDDLE, heading_rad=0.5 * (k // 2))
+        commands.append(planner.decide(pose, pose))
+    looking = [command == Command(-1.0, 0.0, 0.0) for command in commands]
+    first, last = looking.index(True), 59 - looking[::-1].index(True)
+    assert all(looking[first : last + 1])
+    assert (first, last - first) == (pytest.approx(26, abs=2), pytest.approx(25, abs=2)), "after a turn, for a turn"
+    assert not looking[-1]
+
+
 def test_a_diver_that_does_not_know_swims_on() -> None:
     unsure = peaks(k_7=0.16, k_4=0.04, k_1=0.11, k0=0.21, k1=0.11, k4=0.14, k7=0.23)
     model = Model(yaw=unsure, pitch=peaks(k0=1.0))
