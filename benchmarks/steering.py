@@ -2,7 +2,7 @@
 
     python benchmarks/steering.py speed                          training, beside plain float32 PyTorch
     python benchmarks/steering.py latency [--data TUB]           one picture: PyTorch, ONNX, int8
-    python benchmarks/steering.py accuracy [--data TUB] [--seeds 0 1 2] [--size 80x60]
+    python benchmarks/steering.py accuracy [--data TUB] [--seeds 0 1 2] [--size 80x60] [--sigma 0.12]
     python benchmarks/steering.py resume [--kills 30]            a training killed at random moments
 
 TUB is a Donkeycar tub v2, a folder or a .tar.gz of one. With --json FILE, accuracy writes each figure as soon as it
@@ -50,6 +50,7 @@ def parse(arguments: list[str] | None) -> argparse.Namespace:
             study = steering_accuracy.Study()
             section.add_argument("--seeds", type=int, nargs="+", default=list(study.seeds))
             section.add_argument("--size", type=parse_size, default=study.size, help="what hrt's network sees: 160x120")
+            section.add_argument("--sigma", type=float, default=study.sigma, help="of hrt's Gaussian labels")
             section.add_argument("--epochs", type=int, default=study.epochs, help="of hrt's network, at most")
             section.add_argument("--peer-epochs", type=int, default=study.peer_epochs, help="of Donkeycar's, at most")
             section.add_argument("--patience", type=int, default=study.patience, help="of Donkeycar's early stopping")
@@ -78,10 +79,13 @@ def run(given: argparse.Namespace, facts: dict[str, Any]) -> list[Table]:
 
 def study(given: argparse.Namespace) -> steering_accuracy.Study:
     if given.quick:
-        return steering_accuracy.Study((64, 48), tuple(given.seeds), given.gap, 1, 1, 1, given.threads)
+        size, epochs, peer_epochs, patience = (64, 48), 1, 1, 1
+    else:
+        size, epochs, peer_epochs, patience = given.size, given.epochs, given.peer_epochs, given.patience
     return steering_accuracy.Study(
-        given.size, tuple(given.seeds), given.gap, given.epochs, given.peer_epochs, given.patience, given.threads
-    )
+        size=size, seeds=tuple(given.seeds), gap=given.gap, sigma=given.sigma, epochs=epochs, peer_epochs=peer_epochs,
+        patience=patience, threads=given.threads,
+    )  # fmt: skip
 
 
 def main(arguments: list[str] | None = None) -> int:

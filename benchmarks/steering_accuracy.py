@@ -29,7 +29,7 @@ from hrt_cli.steering.train import SteerSpec, Trainer
 
 HALF = SteeringConfig().half_classes
 OURS = {"hrt, Gaussian labels": None, "hrt, hard labels": 0.0}
-"""Methods of hrt, with their sigma; None is that of the recipe."""
+"""Methods of hrt, with their sigma; None is that of the study."""
 METHODS = (*OURS, "linear", "linear, augmented", "categorical", "constant")
 COLUMNS = ("MAE", "RMSE", "accuracy", "NLL", "ECE", "MAE, T", "RMSE, T", "NLL, T", "ECE, T")
 RATIOS = {
@@ -59,6 +59,8 @@ class Study:
         Of the split, the networks and the batches: each holds other blocks out, the same for all methods.
     gap : int
         Frames dropped beside a block that is held out. Donkeycar records 20 frames a second, so 20 are a second.
+    sigma : float
+        Of the Gaussian labels.
     epochs, peer_epochs, patience : int
         At most, and Donkeycar's patience.
     """
@@ -66,16 +68,18 @@ class Study:
     size: tuple[int, int] = (160, 120)
     seeds: tuple[int, ...] = (0, 1, 2)
     gap: int = 20
+    sigma: float = SteerSpec().sigma
     epochs: int = SteerSpec().epochs
     peer_epochs: int = donkeycar.Recipe().epochs
     patience: int = donkeycar.Recipe().patience
     threads: int = 2
 
     def spec(self, seed: int, sigma: float | None) -> SteerSpec:
-        spread = SteerSpec().sigma if sigma is None else sigma
+        spread = self.sigma if sigma is None else sigma
         return SteerSpec(
-            sigma=spread, split="block", share=SHARE, gap=self.gap, seed=seed, epochs=self.epochs, threads=self.threads
-        )
+            sigma=spread, split="block", share=SHARE, gap=self.gap, seed=seed, epochs=self.epochs, patience=0,
+            threads=self.threads,
+        )  # fmt: skip
 
     def recipe(self) -> donkeycar.Recipe:
         return donkeycar.Recipe(epochs=self.peer_epochs, patience=self.patience)
@@ -154,8 +158,8 @@ def accuracy(study: Study, data: Path, out: Path | None, machine: Row) -> list[T
         "likeliest: as Donkeycar decodes it",
         "NLL and ECE over the same 15 angles; T: after temperature, fitted on one half of the held-out frames and "
         "measured on the other, in turn",
-        "constant: the median of the training labels; epochs: in all, of which the best is kept; last: what it would "
-        "have been without early stopping",
+        "constant: the median of the training labels; epochs: in all, of which the best is kept; last: that of the "
+        "last epoch, at which the learning rate has come down to 0",
         "linear, augmented: Donkeycar's network with hrt's augmentation; Donkeycar's own default is none",
     ]
     return [Table("accuracy", rows, notes), *summaries(rows, study.seeds)]

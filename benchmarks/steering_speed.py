@@ -30,8 +30,9 @@ from hrt_cli.steering.train import SteerSpec, Trainer
 from hrt_cli.steering.training import train_steer_file
 
 _AT_ONCE = 32
-_TURN, _UNCOUNTED = 10, 2
-"""Answers of one predictor at a time, and how many of them are not counted: threads of the one before still spin."""
+_TURN, _UNCOUNTED, _REST_S = 10, 2, 0.25
+"""Answers of one predictor at a time, how many of them are not counted, and for how long nobody computes before them:
+threads of the one before spin for a while, and two of them beside two that work take half of their time."""
 
 Answer = Callable[[NDArray[np.uint8]], NDArray[np.float64]]
 
@@ -230,6 +231,7 @@ def timed(answers: Mapping[str, Answer], pictures: NDArray[np.uint8], turns: int
     spent: dict[str, list[float]] = {name: [] for name in answers}
     for turn in range(turns):
         for name, answer in answers.items():
+            time.sleep(_REST_S)
             for number in range(_TURN):
                 at = (turn * _TURN + number) % len(pictures)
                 began = time.perf_counter()

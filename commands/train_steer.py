@@ -37,7 +37,7 @@ Example:
 @click.option("--columns", type=click.IntRange(1, 64), default=1, show_default=True, help="Keep left from right.")
 @click.option("--spatial-dropout", is_flag=True, help="Also drop channels before the last convolution.")
 @click.option("--goal/--no-goal", default=True, show_default=True, help="Tell it where to go, if the data do.")
-@click.option("--sigma", type=opt.FiniteFloat(0, 2), default=0.08, show_default=True, help="Of smoothed labels.")
+@click.option("--sigma", type=opt.FiniteFloat(0, 2), default=0.12, show_default=True, help="Of smoothed labels.")
 @click.option(
     "--cost-scale",
     "cost_scale_s",

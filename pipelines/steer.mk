@@ -34,7 +34,7 @@ roam_args = --world $(world) --roam $(steer_metres)
 # It is pushed off its way now and then, so that it shows how to get back.
 push_args = --local teacher --disturb $(steer_disturb)
 train_args = --balance $(steer_balance) --size $(steer_size) --crop-top $(steer_crop) --columns $(steer_columns) \
-  --batch $(steer_batch) --share 0.1 --patience 0 --threads $(workers)
+  --batch $(steer_batch) --sigma $(steer_sigma) --share 0.1 --patience 0 --threads $(workers)
 glance_args = --frames $(steer_glances) --near $(steer_near) --seed $(seed)
 
 ifeq ($(filter clean%,$(MAKECMDGOALS)),)

@@ -108,7 +108,8 @@ rule learn:
         init=lambda wildcards: " ".join(f"--init {each}" for each in model_before(wildcards.round)),
         how=lambda wildcards: (
             f"--balance {config['steer_balance']} --size {config['steer_size']} --crop-top {config['steer_crop']}"
-            f" --columns {config['steer_columns']} --batch {config['steer_batch']} --share 0.1 --patience 0"
+            f" --columns {config['steer_columns']} --batch {config['steer_batch']} --sigma {config['steer_sigma']}"
+            " --share 0.1 --patience 0"
             f" --epochs {EPOCHS[int(wildcards.round) - 1]} --learning-rate {RATES[int(wildcards.round) - 1]}"
             f" --seed {config['seed']}"
         ),

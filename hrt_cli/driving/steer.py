@@ -11,7 +11,7 @@ from hrt_cli.driving.detour import Detour
 from hrt_cli.driving.goal import Goal
 from hrt_cli.driving.lens import camera_of, look
 from hrt_cli.driving.local import Command, Pose, careful
-from hrt_cli.driving.simulator import Setting
+from hrt_cli.driving.simulator import CONTROL_S, Setting
 from hrt_cli.steering.pictures import fitted
 from hrt_cli.steering.predictor import Distributions, Predictor
 
@@ -46,6 +46,7 @@ class Steer:
         self._detour = Detour()
         self._asked, self._yaw = 0, 0.0
         self._last: Command | None = None
+        self._told_m_s = self._told_m = 0.0
 
     @property
     def along_m(self) -> float:
@@ -57,28 +58,40 @@ class Steer:
         bearing = self._goal.bearing_rad(known)
         if self._asked % _EVERY == 0:
             self._last = self._command(known, true, bearing)
+            self._told_m = 0.0
         self._asked += 1
+        self._note_told()
         return self._last
+
+    def _note_told(self) -> None:
+        """Add up how far the robot is told to drive, which speeds up by its ramp."""
+        vehicle, wanted = self._setting.vehicle, 0.0 if self._last is None else self._last.speed
+        faster = self._told_m_s + vehicle.ramp_m_s2 * CONTROL_S
+        self._told_m_s = min(wanted * self._setting.cruise_m_s, faster)
+        self._told_m += self._told_m_s * CONTROL_S
 
     def _command(self, known: Pose, true: Pose, goal_rad: float) -> Command:
         seed = 2_000_003 * self._setting.seed + self._asked
         frame = look(self._camera, self._setting.site, self._setting.vehicle, true, noise_seed=seed)
         config = self._predictor.config
-        picture = fitted(frame.rgb, config)[None]
-        if not config.goal:
-            return self._steered(self._predictor.probabilities(picture, None))
+        picture = fitted(frame.rgb, config)
+        both = np.stack([picture, picture[:, ::-1]])
 
         def ask(bearing_rad: float) -> Distributions:
-            return self._predictor.probabilities(picture, np.array([bearing_rad], np.float32))
+            goal = np.array([bearing_rad, -bearing_rad], np.float32) if config.goal else None
+            return both_ways(self._predictor.probabilities(both, goal))
 
-        bearing = self._detour.bearing_rad(known, goal_rad, lambda: self._yaw_by(ask(0.0)["yaw"][0], None))
+        if not config.goal:
+            return self._steered(ask(0.0))
+
+        bearing = self._detour.bearing_rad(known, goal_rad, self._told_m, lambda: self._yaw_by(ask(0.0)["yaw"], None))
         if self._detour.spinning:
             return Command(math.copysign(1.0, self._yaw), 0.0, 0.0)
         return self._steered(ask(bearing))
 
     def _steered(self, found: Distributions) -> Command:
-        self._yaw = self._yaw_by(found["yaw"][0], self._yaw)
-        pitch = best_angle(found["pitch"][0], None)[0] if "pitch" in found else 0.0
+        self._yaw = self._yaw_by(found["yaw"], self._yaw)
+        pitch = best_angle(found["pitch"], None)[0] if "pitch" in found else 0.0
         return careful(self._setting.vehicle, self._yaw, pitch)
 
     def _yaw_by(self, probability: NDArray[np.float64], last: float | None) -> float:
@@ -89,6 +102,20 @@ class Steer:
         held = _held(probability, last)
         half = probability.size // 2
         return math.copysign(1.0, held[half + 1 :].sum() - held[:half].sum())
+
+
+def both_ways(found: Distributions) -> Distributions:
+    """Return the mean of what a picture and its mirror image say, float64 [2M + 1] by output.
+
+    The world has no preferred side and the network learns from mirrored pictures, too; what it errs by differs in the
+    two, and half of it cancels.
+
+    Parameters
+    ----------
+    found : dict of float64 [2, 2M + 1]
+        Of the picture, then of the mirror image with the goal mirrored.
+    """
+    return {name: (own + (other[::-1] if name == "yaw" else other)) / 2.0 for name, (own, other) in found.items()}
 
 
 def best_angle(probability: NDArray[np.float64], last: float | None) -> tuple[float, float]:

@@ -1,7 +1,7 @@
 """A 3 x 3 convolution by products of matrices, for maps of a few pixels under many channels.
 
 There the convolutions of oneDNN are bound by their weights, above all backwards. The patches of all pictures of a batch
-as one matrix make a product that is not.
+as one matrix make a product that is not; in bfloat16, too (which autocast asks for).
 """
 
 from __future__ import annotations
@@ -38,14 +38,18 @@ class Conv3x3(nn.Conv2d):
         if not (self.training and self._is_small(input)):
             return super().forward(input)
         kind = _Product if self.out_channels >= _ALL else _WeightProduct
-        made: Tensor = kind.apply(input, self.weight, self.stride[0])  # type: ignore[no-untyped-call]
+        lowered = torch.get_autocast_dtype("cpu") if torch.is_autocast_enabled("cpu") else torch.float32
+        with torch.autocast("cpu", enabled=False):
+            made: Tensor = kind.apply(  # type: ignore[no-untyped-call]
+                input.to(lowered), self.weight.to(lowered), self.stride[0]
+            )
         return made
 
     def _is_small(self, x: Tensor) -> bool:
         stride = self.stride[0]
         pixels = x.shape[0] * -(-x.shape[2] // stride) * -(-x.shape[3] // stride)
-        plain = x.device.type == "cpu" and x.dtype == torch.float32 and not torch.is_autocast_enabled("cpu")
-        return plain and self.out_channels >= _WEIGHTS and pixels <= _MOST_PIXELS
+        on_cpu = x.device.type == "cpu" and x.dtype in (torch.float32, torch.bfloat16)
+        return on_cpu and self.out_channels >= _WEIGHTS and pixels <= _MOST_PIXELS
 
 
 class _Product(torch.autograd.Function):

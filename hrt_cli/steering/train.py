@@ -28,6 +28,8 @@ from hrt_cli.steering.targets import targets
 
 _AT_ONCE = 128
 """Frames in a forward pass that only measures."""
+_AHEAD = {"cpu": 1, "cuda": 4}
+"""Batches made ahead of the network, a thread each: one keeps up with a CPU, not with a GPU."""
 _FIGURES = ("mae", "rmse", "accuracy", "nll", "ece")
 
 
@@ -72,7 +74,7 @@ class SteerSpec:
         Of PyTorch on the CPU; the result depends on it in its last digits.
     """
 
-    sigma: float = 0.08
+    sigma: float = 0.12
     cost_scale_s: float = 0.12
     entropy_weight: float = 0.05
     dropout_weight: float = 1.0
@@ -179,6 +181,7 @@ class Trainer:
                 seed=self._spec.seed,
                 epoch=self.course.epoch,
                 first=self.course.batch,
+                ahead=_AHEAD[self._arithmetic.device],
             )
             with closing(batches):
                 for batch in batches:

@@ -32,7 +32,7 @@ from hrt_cli.steering.state import Epoch
 from hrt_cli.steering.train import SteerSpec, Trainer, constant_steering
 
 STAGE = "train-steer"
-STAGE_VERSION = 3
+STAGE_VERSION = 4
 
 
 class Record(Document):

@@ -22,7 +22,7 @@ from hrt_cli.driving.lens import camera_of, look
 from hrt_cli.driving.local import Command, Pose
 from hrt_cli.driving.simulator import Setting, first_heading, simulate
 from hrt_cli.driving.stage import DriveRequest, drive_file, local_planner
-from hrt_cli.driving.steer import Steer, best_angle
+from hrt_cli.driving.steer import Steer, best_angle, both_ways
 from hrt_cli.driving.vehicle import AUV, UGV
 from hrt_cli.errors import ArgumentError, InputError
 from hrt_cli.steering import network
@@ -49,7 +49,7 @@ class Model:
     def probabilities(self, pictures: NDArray[np.uint8], goal: NDArray[np.float32] | None = None) -> dict:
         self.seen.append(pictures)
         self.told.append(goal)
-        return {name: answer[None] for name, answer in self._answers.items()}
+        return {name: np.stack([a, a[::-1] if name == "yaw" else a]) for name, a in self._answers.items()}
 
 
 def peaks(**shares: float) -> NDArray[np.float64]:
@@ -97,6 +97,14 @@ def test_it_takes_the_mean_about_the_best_class(distribution: NDArray[np.float64
     assert decided(Model(yaw=distribution)).yaw == pytest.approx(yaw)
 
 
+def test_what_a_picture_and_its_mirror_image_say_is_averaged() -> None:
+    own, other = peaks(k1=0.6, k5=0.4), peaks(k_1=0.2, k4=0.8)
+    up, down = peaks(k3=1.0), peaks(k_2=1.0)
+    found = both_ways({"yaw": np.stack([own, other]), "pitch": np.stack([up, down])})
+    assert found["yaw"] == pytest.approx(peaks(k1=0.4, k5=0.2, k_4=0.4))
+    assert found["pitch"] == pytest.approx(peaks(k3=0.5, k_2=0.5))
+
+
 def test_it_stays_with_the_side_that_it_took() -> None:
     both = peaks(k_5=0.5, k5=0.45)
     for last, angle, share in ((None, -5 / 7, 0.5), (0.0, -5 / 7, 0.5), (0.6, 5 / 7, 0.45)):
@@ -121,7 +129,7 @@ def test_where_it_does_not_know_it_turns_on_the_spot() -> None:
 
 def test_one_that_turned_to_and_fro_looks_round_before_it_drives_on() -> None:
     """On the spot, on to the side of its last turn, though the model would drive on."""
-    planner = Steer(Model(goal=True, yaw=peaks(k_1=1.0)), setting())
+    planner = Steer(Model(goal=True, yaw=peaks(k_6=1.0)), setting())
     commands = []
     for k in range(60):
         pose = replace(MIDDLE, heading_rad=0.5 * (k // 2))
@@ -175,7 +183,10 @@ def test_it_looks_at_every_second_decision_and_follows_the_course_at_each() -> N
 
 
 def test_the_goal_is_told_to_a_model_that_asks_for_it() -> None:
-    """In radians, right positive: the way goes east and the robot looks north; it is told where it thinks it is."""
+    """In radians, right positive: the way goes east and the robot looks north; it is told where it thinks it is.
+
+    The second is that of the mirror image.
+    """
     asking, other = Model(goal=True, yaw=peaks(k0=1.0)), Model(yaw=peaks(k0=1.0))
     way = setting((2.0, 5.0), (9.0, 5.0))
     known, true = Pose(4.0, 5.0, 0.0, 0.0, 0.0), Pose(4.0, 6.5, 0.0, 0.1, 0.0)
@@ -183,8 +194,8 @@ def test_the_goal_is_told_to_a_model_that_asks_for_it() -> None:
         Steer(model, way).decide(known, true)
     (told,) = asking.told
     assert told is not None
-    assert (told.shape, told.dtype) == ((1,), np.float32)
-    assert told[0] == pytest.approx(EAST, abs=1e-6)
+    assert (told.shape, told.dtype) == ((2,), np.float32)
+    assert told == pytest.approx([EAST, -EAST], abs=1e-6)
     assert other.told == [None]
 
 
@@ -199,7 +210,8 @@ def test_it_sees_what_the_camera_sees_where_the_robot_is() -> None:
     planner = Steer(model, there)
     for _ in range(3):
         planner.decide(Pose(1.0, 5.0, 0.0, 0.0, 0.0), MIDDLE)
-    (first,), (second,) = model.seen
+    (first, mirrored), (second, _) = model.seen
+    assert np.array_equal(mirrored, first[:, ::-1])
     assert (first.shape, first.dtype) == ((32, 40, 3), np.uint8)
     left, right = first[24:, :18].mean(axis=(0, 1)), first[24:, 22:].mean(axis=(0, 1))
     assert left[0] > left[2] + 50

@@ -27,6 +27,12 @@ def tiny() -> Iterator[None]:
         yield
 
 
+@pytest.fixture
+def cpu(monkeypatch: pytest.MonkeyPatch) -> None:
+    """No GPU, whatever this machine has."""
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
+
+
 @pytest.fixture(scope="module")
 def tiny_throughout() -> Iterator[None]:
     """The same for all of a module, and for what its tests share."""

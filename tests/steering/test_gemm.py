@@ -36,8 +36,27 @@ def test_elsewhere_it_is_pytorchs(outputs: int, pixels: int, training: bool) -> 
     assert "Product" not in type(made.grad_fn).__name__
 
 
-def test_not_in_half_precision() -> None:
-    conv, x = Conv3x3(4, 512).train(), torch.randn(1, 4, 2, 2)
+@pytest.mark.parametrize("outputs", [128, 512])
+@pytest.mark.parametrize("stride", [1, 2])
+def test_under_autocast_it_computes_in_half_precision(outputs: int, stride: int) -> None:
+    torch.manual_seed(0)
+    conv, x = Conv3x3(8, outputs, stride).train(), torch.randn(3, 8, 3, 5, requires_grad=True)
     with torch.autocast("cpu", torch.bfloat16):
-        assert conv(x).dtype == torch.bfloat16
-    assert list(conv.state_dict()) == ["weight"]
+        made = conv(x)
+        right = nn.functional.conv2d(x, conv.weight, stride=stride, padding=1)
+    assert "Product" in type(made.grad_fn).__name__
+    assert made.dtype == torch.bfloat16
+    torch.testing.assert_close(made, right)
+    grad = torch.randn_like(right)
+    for found, wanted in zip(
+        torch.autograd.grad(made, (x, conv.weight), grad),
+        torch.autograd.grad(right, (x, conv.weight), grad),
+        strict=True,
+    ):
+        assert found.dtype == torch.float32
+        # Sums over many pixels, each rounded to 8 bits on its way.
+        torch.testing.assert_close(found, wanted, rtol=0.02, atol=0.02 * float(wanted.abs().max()))
+
+
+def test_the_parameter_has_pytorchs_name() -> None:
+    assert list(Conv3x3(4, 512).state_dict()) == ["weight"]

@@ -113,10 +113,11 @@ def test_the_folder_and_its_name_do_not_matter(data: Path, tmp_path: Path, made:
         {"spec": replace(SPEC, gap=1)},
         {"spec": replace(SPEC, augment=Augment.none())},
         {"config": CONFIG.model_copy(update={"columns": 2})},
-        {"precision": "bf16"},
+        {"precision": "float32" if precision.cpu_computes_bf16() else "bf16"},
         {"correction": 0.1},
     ],
 )
+@pytest.mark.usefixtures("cpu")
 def test_another_recipe_is_another_model(data: Path, made: tuple[Path, SteerTraining], change: dict) -> None:
     output, _ = made
     with pytest.raises(OutputError, match="exists and was not made by this run; use --overwrite"):
@@ -132,6 +133,7 @@ def test_other_pictures_under_the_same_labels_are_another_model(tmp_path: Path) 
         run(data, output)
 
 
+@pytest.mark.usefixtures("cpu")
 def test_what_computed_is_part_of_the_provenance_and_on_a_gpu_threads_are_not(
     data: Path, made: tuple[Path, SteerTraining], monkeypatch: pytest.MonkeyPatch
 ) -> None:

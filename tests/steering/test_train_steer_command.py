@@ -87,6 +87,7 @@ def test_it_draws_and_writes_the_course_of_the_training(data: Path, tmp_path: Pa
             train(data, "-o", output, "--curve", wrong)
 
 
+@pytest.mark.usefixtures("cpu")
 def test_options_reach_the_network_and_the_recipe(data: Path, tmp_path: Path) -> None:
     output = tmp_path / "m.safetensors"
     options = "--half-classes 4 --columns 3 --crop-top .25 --no-augment --sigma 0 --entropy .1"
