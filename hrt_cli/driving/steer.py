@@ -75,11 +75,11 @@ class Steer:
         frame = look(self._camera, self._setting.site, self._setting.vehicle, true, noise_seed=seed)
         config = self._predictor.config
         picture = fitted(frame.rgb, config)
-        both = np.stack([picture, picture[:, ::-1]])
+        seen = np.stack([picture, picture[:, ::-1]] if config.mirrored else [picture])
 
         def ask(bearing_rad: float) -> Distributions:
-            goal = np.array([bearing_rad, -bearing_rad], np.float32) if config.goal else None
-            return both_ways(self._predictor.probabilities(both, goal))
+            goal = np.array([bearing_rad, -bearing_rad], np.float32)[: len(seen)] if config.goal else None
+            return both_ways(self._predictor.probabilities(seen, goal))
 
         if not config.goal:
             return self._steered(ask(0.0))
@@ -105,17 +105,17 @@ class Steer:
 
 
 def both_ways(found: Distributions) -> Distributions:
-    """Return the mean of what a picture and its mirror image say, float64 [2M + 1] by output.
+    """Return the mean of what a network says of a picture and of its mirror image, float64 [2M + 1] by output.
 
-    The world has no preferred side and the network learns from mirrored pictures, too; what it errs by differs in the
-    two, and half of it cancels.
+    The world has no preferred side, and a network that learnt from mirrored pictures, too, errs differently in the two.
 
     Parameters
     ----------
-    found : dict of float64 [2, 2M + 1]
-        Of the picture, then of the mirror image with the goal mirrored.
+    found : dict of float64 [1 or 2, 2M + 1]
+        Of the picture, then, if it was asked, of the mirror image with the goal mirrored.
     """
-    return {name: (own + (other[::-1] if name == "yaw" else other)) / 2.0 for name, (own, other) in found.items()}
+    back = {"yaw": -1, "pitch": 1}
+    return {name: np.mean([each[0], *(one[:: back[name]] for one in each[1:])], axis=0) for name, each in found.items()}
 
 
 def best_angle(probability: NDArray[np.float64], last: float | None) -> tuple[float, float]:

@@ -73,9 +73,8 @@ def gather(
     goal = spec.goal and found.goal is not None
     if apart is not None:
         _check_alike(found, apart, goal)
-    config = SteeringConfig(
-        **{**dict(config), "outputs": found.outputs, "goal": goal, "hfov_deg": found.hfov_deg, "temperature": {}}
-    )
+    told = {"outputs": found.outputs, "goal": goal, "hfov_deg": found.hfov_deg, "mirrored": spec.augment.flip > 0.0}
+    config = SteeringConfig(**{**dict(config), **told, "temperature": {}})
     found, pictures, digest = load_pictures(found, config, skip_bad=skip_bad, progress=progress, note=note)
     check_varied(found, config.half_classes)
     others = spec.cost_scale_s > 0.0

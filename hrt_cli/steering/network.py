@@ -50,6 +50,8 @@ class SteeringConfig(Document):
     hfov_deg : float, optional
         Horizontal field of view of the lens through which it learnt to see, where that is known: through another,
         things lie elsewhere than they seem.
+    mirrored : bool
+        Whether it learnt from mirrored pictures, too, and so may be asked about the mirror image of one.
     spatial_dropout : bool
         Whether channels are dropped before the last convolution, too.
     temperature : dict of str to float
@@ -66,6 +68,7 @@ class SteeringConfig(Document):
     columns: int = Field(default=1, ge=1, le=64)
     goal: bool = False
     hfov_deg: float | None = Field(default=None, gt=0.0, lt=180.0)
+    mirrored: bool = False
     spatial_dropout: bool = False
     temperature: dict[Output, Positive] = Field(default_factory=dict)
 

@@ -277,13 +277,13 @@ def _beginning(config: SteeringConfig, spec: SteerSpec, weights: Path | None, in
     if init is not None:
         net = read_model(init)
         check_lens(init, net.config.hfov_deg, config.hfov_deg)
-        free = {"mean", "std", "temperature", "hfov_deg"}
+        free = {"mean", "std", "temperature", "hfov_deg", "mirrored"}
         given, wanted = net.config.model_dump(exclude=free), config.model_dump(exclude=free)
         for name in given:
             if given[name] != wanted[name]:
                 raise InputError(init, f"its {name} is {given[name]}, and that of this training {wanted[name]}")
         lens = net.config.hfov_deg if config.hfov_deg is None else config.hfov_deg
-        net.config = net.config.model_copy(update={"temperature": {}, "hfov_deg": lens})
+        net.config = net.config.model_copy(update={"temperature": {}, "hfov_deg": lens, "mirrored": config.mirrored})
         return net
     if weights is not None:
         config = config.model_copy(update={"mean": IMAGENET_MEAN, "std": IMAGENET_STD})

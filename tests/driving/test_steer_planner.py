@@ -40,8 +40,10 @@ HALF = 7
 class Model:
     """Answers the same whatever it is shown, and remembers what that was."""
 
-    def __init__(self, *, goal: bool = False, **answers: NDArray[np.float64]) -> None:
-        self.config = SteeringConfig(outputs=tuple(answers), half_classes=HALF, width=40, height=32, goal=goal)
+    def __init__(self, *, goal: bool = False, mirrored: bool = True, **answers: NDArray[np.float64]) -> None:
+        self.config = SteeringConfig(
+            outputs=tuple(answers), half_classes=HALF, width=40, height=32, goal=goal, mirrored=mirrored
+        )
         self._answers = answers
         self.seen: list[NDArray[np.uint8]] = []
         self.told: list[NDArray[np.float32] | None] = []
@@ -49,7 +51,8 @@ class Model:
     def probabilities(self, pictures: NDArray[np.uint8], goal: NDArray[np.float32] | None = None) -> dict:
         self.seen.append(pictures)
         self.told.append(goal)
-        return {name: np.stack([a, a[::-1] if name == "yaw" else a]) for name, a in self._answers.items()}
+        both = {name: np.stack([a, a[::-1] if name == "yaw" else a]) for name, a in self._answers.items()}
+        return {name: each[: len(pictures)] for name, each in both.items()}
 
 
 def peaks(**shares: float) -> NDArray[np.float64]:
@@ -103,6 +106,17 @@ def test_what_a_picture_and_its_mirror_image_say_is_averaged() -> None:
     found = both_ways({"yaw": np.stack([own, other]), "pitch": np.stack([up, down])})
     assert found["yaw"] == pytest.approx(peaks(k1=0.4, k5=0.2, k_4=0.4))
     assert found["pitch"] == pytest.approx(peaks(k3=0.5, k_2=0.5))
+
+
+def test_one_that_learnt_from_no_mirrored_pictures_is_not_shown_one() -> None:
+    model = Model(goal=True, mirrored=False, yaw=peaks(k2=1.0))
+    planner = Steer(model, setting((2.0, 5.0), (9.0, 5.0)))
+    command = planner.decide(MIDDLE, MIDDLE)
+    assert command is not None
+    assert command.yaw == pytest.approx(2 / 7)
+    (seen,), (told,) = model.seen, model.told
+    assert len(seen) == 1
+    assert told == pytest.approx([EAST], abs=1e-6)
 
 
 def test_it_stays_with_the_side_that_it_took() -> None:

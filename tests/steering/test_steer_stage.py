@@ -148,6 +148,17 @@ def test_what_computed_is_part_of_the_provenance_and_on_a_gpu_threads_are_not(
     assert "threads" not in told
 
 
+def test_the_model_tells_whether_it_learnt_from_mirrored_pictures(
+    data: Path, tmp_path: Path, made: tuple[Path, SteerTraining]
+) -> None:
+    assert read_model(made[0]).config.mirrored
+    plain, again = tmp_path / "plain.safetensors", tmp_path / "again.safetensors"
+    run(data, plain, replace(SPEC, augment=Augment(flip=0.0)), init=made[0])
+    assert not read_model(plain).config.mirrored
+    run(data, again, init=plain)
+    assert read_model(again).config.mirrored
+
+
 def test_the_metrics_are_a_line_an_epoch(data: Path, tmp_path: Path) -> None:
     output, metrics = tmp_path / "m.safetensors", tmp_path / "m.jsonl"
     done = run(data, output, metrics=metrics)

@@ -96,6 +96,7 @@ def test_options_reach_the_network_and_the_recipe(data: Path, tmp_path: Path) ->
     train(data, "-o", output, *options.split())
     config = read_model(output).config
     assert (config.half_classes, config.columns, config.crop_top) == (4, 3, 0.25)
+    assert not config.mirrored
     assert (config.width, config.height) == (32, 32)
     found = model_provenance(output)
     assert found is not None
