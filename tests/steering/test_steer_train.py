@@ -180,7 +180,7 @@ def test_it_learns_what_the_picture_shows() -> None:
 
 
 def test_the_figures_of_an_epoch_are_those_of_the_network_as_it_will_predict() -> None:
-    found = trainer(SteerSpec(epochs=2, batch=8))
+    found = trainer(SteerSpec(epochs=2, batch=8, sigma=0.08))
     found.run()
     net, frames, last = found.net.eval(), posts(9, 2), found.course.history[-1]
     seen = torch.from_numpy((frames.pictures / 255.0 - 0.5).astype(np.float32) / 0.25).permute(0, 3, 1, 2)
