@@ -32,7 +32,7 @@ from hrt_cli.steering.training import train_steer_file
 _AT_ONCE = 32
 _TURN, _UNCOUNTED, _REST_S = 10, 2, 0.25
 """Answers of one predictor at a time, how many of them are not counted, and for how long nobody computes before them:
-threads of the one before spin for a while, and two of them beside two that work take half of their time."""
+threads of the one before still spin for a while."""
 
 Answer = Callable[[NDArray[np.uint8]], NDArray[np.float64]]
 

@@ -1,4 +1,4 @@
-"""Batches of frames, cut and augmented ahead of the network.
+"""Batches of frames, cut and augmented a batch ahead of the network.
 
 All that is random in a batch is drawn from the seed, the epoch and the batch's number alone: a training that goes on
 after a stop needs no state of a generator to see the same batches.
@@ -6,11 +6,9 @@ after a stop needs no state of a generator to see the same batches.
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Generator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from itertools import islice
 
 import numpy as np
 import torch
@@ -93,9 +91,8 @@ def epoch_batches(
     seed: int,
     epoch: int,
     first: int = 0,
-    ahead: int = 1,
 ) -> Generator[Batch, None, None]:
-    """Yield the batches of an epoch from number `first` on, while `ahead` threads make as many that come after it.
+    """Yield the batches of an epoch from number `first` on, each made while the one before it is in use.
 
     Every frame comes once an epoch; with a balance, those of rare yaw more often, and as many in all. Where the network
     is told goals, rare is what the goal does not explain.
@@ -109,12 +106,12 @@ def epoch_batches(
         own = np.random.default_rng([seed, _AUGMENT, epoch, number])
         return ready(augment(*frames.cut(parts[number]), strengths, own), config)
 
-    with ThreadPoolExecutor(ahead) as makers:
-        coming = iter(range(first, len(parts)))
-        waiting = deque(makers.submit(make, number) for number in islice(coming, ahead))
-        while waiting:
-            made = waiting.popleft().result()
-            waiting.extend(makers.submit(make, number) for number in islice(coming, 1))
+    with ThreadPoolExecutor(1) as ahead:
+        waiting = [ahead.submit(make, number) for number in range(len(parts))[first : first + 1]]
+        for number in range(first, len(parts)):
+            made = waiting.pop().result()
+            if number + 1 < len(parts):
+                waiting.append(ahead.submit(make, number + 1))
             yield made
 
 

@@ -28,8 +28,6 @@ from hrt_cli.steering.targets import targets
 
 _AT_ONCE = 128
 """Frames in a forward pass that only measures."""
-_AHEAD = {"cpu": 1, "cuda": 4}
-"""Batches made ahead of the network, a thread each: one keeps up with a CPU, not with a GPU."""
 _FIGURES = ("mae", "rmse", "accuracy", "nll", "ece")
 
 
@@ -181,7 +179,6 @@ class Trainer:
                 seed=self._spec.seed,
                 epoch=self.course.epoch,
                 first=self.course.batch,
-                ahead=_AHEAD[self._arithmetic.device],
             )
             with closing(batches):
                 for batch in batches:

@@ -27,7 +27,7 @@ def numbered(n: int = 11, goal: bool = False) -> Frames:
 
 
 def shown(frames: Frames, *, strengths: Augment | None = None, first: int = 0, epoch: int = 0, seed: int = 0,
-          batch: int = 4, balance: float = 0.0, ahead: int = 1) -> list[Batch]:  # fmt: skip
+          batch: int = 4, balance: float = 0.0) -> list[Batch]:  # fmt: skip
     return list(
         epoch_batches(
             frames,
@@ -38,7 +38,6 @@ def shown(frames: Frames, *, strengths: Augment | None = None, first: int = 0, e
             seed=seed,
             epoch=epoch,
             first=first,
-            ahead=ahead,
         )
     )
 
@@ -102,18 +101,7 @@ def test_a_balance_shows_the_rare_more_often() -> None:
     assert len(even[0].steering) == 400
 
 
-@pytest.mark.parametrize("ahead", [2, 3, 9])
-def test_it_does_not_matter_how_many_are_made_ahead(ahead: int) -> None:
-    frames = numbered(13)
-    one, many = (shown(frames, strengths=Augment(), batch=3, first=1, ahead=each) for each in (1, ahead))
-    assert len(one) == 3
-    for a, b in zip(one, many, strict=True):
-        torch.testing.assert_close(a.pictures, b.pictures, rtol=0, atol=0)
-        torch.testing.assert_close(a.steering, b.steering, rtol=0, atol=0)
-
-
-@pytest.mark.parametrize("ahead", [1, 2])
-def test_the_next_batches_are_made_while_one_is_in_use(monkeypatch: pytest.MonkeyPatch, ahead: int) -> None:
+def test_the_next_batch_is_made_while_one_is_in_use(monkeypatch: pytest.MonkeyPatch) -> None:
     made: list[int] = []
 
     def count(*args: object) -> object:
@@ -122,14 +110,14 @@ def test_the_next_batches_are_made_while_one_is_in_use(monkeypatch: pytest.Monke
 
     monkeypatch.setattr(batches, "augment", count)
     running = epoch_batches(
-        numbered(20), CONFIG, batch=4, balance_strength=0.0, strengths=Augment.none(), seed=0, epoch=0, ahead=ahead
+        numbered(12), CONFIG, batch=4, balance_strength=0.0, strengths=Augment.none(), seed=0, epoch=0
     )
     next(running)
     deadline = time.monotonic() + 20
-    while len(made) < 1 + ahead and time.monotonic() < deadline:
+    while len(made) < 2 and time.monotonic() < deadline:
         time.sleep(0.001)
     running.close()
-    assert len(made) == 1 + ahead
+    assert len(made) == 2
     assert threading.get_ident() not in made
 
 
