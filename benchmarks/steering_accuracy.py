@@ -17,15 +17,15 @@ from numpy.typing import NDArray
 from steering_data import SHARE, Recorded, load, opened, part, throttles
 from tables import Skipped, Table
 
-from hrt_cli.steering.augment import Augment
-from hrt_cli.steering.batches import Frames
-from hrt_cli.steering.calibrate import fit_temperature, softmax
-from hrt_cli.steering.metrics import measure, median_angles, nearest_classes
-from hrt_cli.steering.network import SteeringConfig, SteeringNet
-from hrt_cli.steering.precision import choose, repeatable
-from hrt_cli.steering.predictor import TorchPredictor
-from hrt_cli.steering.split import Split
-from hrt_cli.steering.train import SteerSpec, Trainer
+from hrt_cli.steering.network.metrics import measure, median_angles, nearest_classes
+from hrt_cli.steering.network.net import SteeringConfig, SteeringNet
+from hrt_cli.steering.network.precision import choose, repeatable
+from hrt_cli.steering.network.predictor import TorchPredictor
+from hrt_cli.steering.recordings.split import Split
+from hrt_cli.steering.training.augment import Augment
+from hrt_cli.steering.training.batches import Frames
+from hrt_cli.steering.training.calibrate import fit_temperature, softmax
+from hrt_cli.steering.training.train import SteerSpec, Trainer
 
 HALF = SteeringConfig().half_classes
 OURS = {"hrt, Gaussian labels": None, "hrt, hard labels": 0.0}

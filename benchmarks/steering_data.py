@@ -15,11 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 from tables import DATA, Skipped
 
-from hrt_cli.steering.batches import Frames
-from hrt_cli.steering.load import load_pictures
-from hrt_cli.steering.network import SteeringConfig
-from hrt_cli.steering.samples import Samples, read_samples
-from hrt_cli.steering.split import Split, split
+from hrt_cli.steering.network.net import SteeringConfig
+from hrt_cli.steering.recordings.load import load_pictures
+from hrt_cli.steering.recordings.samples import Samples, read_samples
+from hrt_cli.steering.recordings.split import Split, split
+from hrt_cli.steering.training.batches import Frames
 
 TUB = DATA / "donkeycar_tub" / "tub.tar.gz"
 SHARE = 0.2

@@ -18,7 +18,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from hrt_cli.steering.augment import Augment, augment
+from hrt_cli.steering.training.augment import Augment, augment
 
 WIDTH, HEIGHT = 160, 120
 KINDS = ("linear", "categorical")

@@ -19,7 +19,7 @@ from tables import Table
 
 SIGNALS = (signal.SIGKILL, signal.SIGTERM, signal.SIGINT)
 _PROGRAM = (
-    "from hrt_cli.steering import checkpoint; checkpoint.EVERY_S, checkpoint._SHARE = 0.02, 0.5;"
+    "from hrt_cli.steering.training import checkpoint; checkpoint.EVERY_S, checkpoint._SHARE = 0.02, 0.5;"
     "from hrt_cli.main import main; main()"
 )
 """`hrt`, with checkpoints as often as half the time allows: else a training so short would have none to go on from."""

@@ -14,20 +14,20 @@ from numpy.typing import NDArray
 from steering_data import SHARE, load, made_up, opened, part
 from tables import Skipped, Table
 
-from hrt_cli.steering.angles import smoothed_labels
-from hrt_cli.steering.augment import augment
-from hrt_cli.steering.batches import Frames
-from hrt_cli.steering.gemm import Conv3x3
-from hrt_cli.steering.metrics import expected_angles
-from hrt_cli.steering.model import read_model
-from hrt_cli.steering.network import SteeringConfig, SteeringNet, total_loss
-from hrt_cli.steering.onnx_export import export_onnx
-from hrt_cli.steering.onnx_model import OnnxPredictor
-from hrt_cli.steering.pictures import prepare
-from hrt_cli.steering.precision import Arithmetic, choose, repeatable
-from hrt_cli.steering.predictor import TorchPredictor
-from hrt_cli.steering.train import SteerSpec, Trainer
-from hrt_cli.steering.training import train_steer_file
+from hrt_cli.steering.network.angles import smoothed_labels
+from hrt_cli.steering.network.gemm import Conv3x3
+from hrt_cli.steering.network.metrics import expected_angles
+from hrt_cli.steering.network.model import read_model
+from hrt_cli.steering.network.net import SteeringConfig, SteeringNet, total_loss
+from hrt_cli.steering.network.pictures import prepare
+from hrt_cli.steering.network.precision import Arithmetic, choose, repeatable
+from hrt_cli.steering.network.predictor import TorchPredictor
+from hrt_cli.steering.onnx.export import export_onnx
+from hrt_cli.steering.onnx.model import OnnxPredictor
+from hrt_cli.steering.training.augment import augment
+from hrt_cli.steering.training.batches import Frames
+from hrt_cli.steering.training.stage import train_steer_file
+from hrt_cli.steering.training.train import SteerSpec, Trainer
 
 _AT_ONCE = 32
 _TURN, _UNCOUNTED, _REST_S = 10, 2, 0.25

@@ -13,7 +13,7 @@ from hrt_cli.artifacts.stage import Existing
 from hrt_cli.progress import Console
 
 if TYPE_CHECKING:
-    from hrt_cli.steering.onnx_export import SteerExport
+    from hrt_cli.steering.onnx.export import SteerExport
 
 
 @click.command(
@@ -54,7 +54,7 @@ def export_steer(
     says in plain English how to feed it. Before it is written it is run by onnxruntime and compared with the model: on
     the recordings given, else on made-up pictures. Needs pip install 'hrt[onnx]'.
     """
-    from hrt_cli.steering.onnx_export import export_onnx
+    from hrt_cli.steering.onnx.export import export_onnx
 
     with console.bar("export-steer") as progress:
         done = export_onnx(

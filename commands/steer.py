@@ -69,7 +69,7 @@ def steer(
     """
     if saliency and overlay is None:
         raise click.UsageError("--saliency is drawn into overlays: give --overlay FOLDER")
-    from hrt_cli.steering.predict_stage import SteerRequest, steer_files
+    from hrt_cli.steering.prediction.stage import SteerRequest, steer_files
 
     request = SteerRequest(passes, every, goal_deg, batch, skip_bad, seed)
     with console.bar("steer") as progress:

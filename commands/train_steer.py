@@ -12,7 +12,7 @@ from hrt_cli.artifacts.stage import Existing
 from hrt_cli.progress import Console
 
 if TYPE_CHECKING:
-    from hrt_cli.steering.training import SteerTraining
+    from hrt_cli.steering.training.stage import SteerTraining
 
 
 @click.command(
@@ -127,10 +127,10 @@ def train_steer(
     it was when the same command is run again; to begin anew instead, delete .OUTPUT.hrt-checkpoint.
     """
     from hrt_cli.report.steering_curve import check_training_target, draw_training
-    from hrt_cli.steering.augment import Augment
-    from hrt_cli.steering.network import SteeringConfig
-    from hrt_cli.steering.train import SteerSpec
-    from hrt_cli.steering.training import train_steer_file
+    from hrt_cli.steering.network.net import SteeringConfig
+    from hrt_cli.steering.training.augment import Augment
+    from hrt_cli.steering.training.stage import train_steer_file
+    from hrt_cli.steering.training.train import SteerSpec
 
     if curve is not None:
         check_training_target(curve, [each for each in (output, weights, init, metrics) if each is not None])

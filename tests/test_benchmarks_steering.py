@@ -21,13 +21,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 from recording_files import put_picture, put_tub, tub_record
 
-from hrt_cli.steering.augment import Augment
-from hrt_cli.steering.batches import Frames
-from hrt_cli.steering.calibrate import fit_temperature, softmax
-from hrt_cli.steering.gather import gather
-from hrt_cli.steering.network import SteeringConfig, SteeringNet
-from hrt_cli.steering.precision import Arithmetic, repeatable
-from hrt_cli.steering.train import SteerSpec, Trainer
+from hrt_cli.steering.network.net import SteeringConfig, SteeringNet
+from hrt_cli.steering.network.precision import Arithmetic, repeatable
+from hrt_cli.steering.training.augment import Augment
+from hrt_cli.steering.training.batches import Frames
+from hrt_cli.steering.training.calibrate import fit_temperature, softmax
+from hrt_cli.steering.training.gather import gather
+from hrt_cli.steering.training.train import SteerSpec, Trainer
 
 BENCHMARKS = Path(__file__).parents[1] / "benchmarks"
 sys.path.insert(0, str(BENCHMARKS))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor, nn
 
-from hrt_cli.steering.resnet import FEATURES
+from hrt_cli.steering.network.resnet import FEATURES
 
 
 class TinyTrunk(nn.Module):

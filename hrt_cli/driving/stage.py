@@ -261,8 +261,8 @@ def local_planner(name: str, setting: Setting, model: Path | None = None) -> Loc
 def _steer(model: Path, setting: Setting) -> LocalPlanner:
     # Only here: PyTorch takes a second to import.
     from hrt_cli.driving.steer import Steer
-    from hrt_cli.steering.predictor import load_predictor
-    from hrt_cli.steering.samples import check_lens
+    from hrt_cli.steering.prediction.load import load_predictor
+    from hrt_cli.steering.recordings.samples import check_lens
 
     predictor = load_predictor(model, threads=1)
     swims = setting.vehicle.kind == "auv"

@@ -12,8 +12,8 @@ from hrt_cli.driving.goal import Goal
 from hrt_cli.driving.lens import camera_of, look
 from hrt_cli.driving.local import Command, Pose, careful
 from hrt_cli.driving.simulator import CONTROL_S, Setting
-from hrt_cli.steering.pictures import fitted
-from hrt_cli.steering.predictor import Distributions, Predictor
+from hrt_cli.steering.network.pictures import fitted
+from hrt_cli.steering.network.predictor import Distributions, Predictor
 
 _EVERY = 2
 """Decisions from one frame to the next: five frames a second."""

@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 
 from hrt_cli.errors import InputError
 from hrt_cli.progress import Note, Progress, silent, unheard
-from hrt_cli.steering.load import load_pictures
-from hrt_cli.steering.metrics import (
+from hrt_cli.steering.network.metrics import (
     Measure,
     Reliability,
     confusion,
@@ -22,9 +21,11 @@ from hrt_cli.steering.metrics import (
     reliability,
     spreads,
 )
-from hrt_cli.steering.network import Output, SteeringConfig
-from hrt_cli.steering.predictor import Distributions, Predictor, load_predictor
-from hrt_cli.steering.samples import Samples, check_lens, read_samples
+from hrt_cli.steering.network.net import Output, SteeringConfig
+from hrt_cli.steering.network.predictor import Distributions, Predictor
+from hrt_cli.steering.prediction.load import load_predictor
+from hrt_cli.steering.recordings.load import load_pictures
+from hrt_cli.steering.recordings.samples import Samples, check_lens, read_samples
 
 BATCH = 32
 

@@ -13,12 +13,12 @@ from hrt_cli.artifacts.provenance import Provenance, file_sha256
 from hrt_cli.artifacts.stage import ReadProvenance
 from hrt_cli.errors import HrtError, InputError
 from hrt_cli.raster.cog import cog_provenance
-from hrt_cli.steering.onnx_file import onnx_provenance
+from hrt_cli.steering.onnx.file import onnx_provenance
 
 
 def _model_provenance(path: Path) -> Provenance | None:
     # Only here: PyTorch takes a second to import.
-    from hrt_cli.steering.model import model_provenance
+    from hrt_cli.steering.network.model import model_provenance
 
     return model_provenance(path)
 

@@ -17,7 +17,7 @@ from hrt_cli.driving.local import Pose, wrapped
 from hrt_cli.driving.simulator import Setting, first_heading, simulate
 from hrt_cli.driving.steer import Steer
 from hrt_cli.driving.vehicle import UGV
-from hrt_cli.steering.network import SteeringConfig
+from hrt_cli.steering.network.net import SteeringConfig
 
 HERE = Pose(5.0, 5.0, 0.0, 0.0, 0.0)
 STEP = math.radians(20.0)

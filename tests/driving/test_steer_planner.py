@@ -25,10 +25,10 @@ from hrt_cli.driving.stage import DriveRequest, drive_file, local_planner
 from hrt_cli.driving.steer import Steer, best_angle, both_ways
 from hrt_cli.driving.vehicle import AUV, UGV
 from hrt_cli.errors import ArgumentError, InputError
-from hrt_cli.steering import network
-from hrt_cli.steering.model import publish_model
-from hrt_cli.steering.network import SteeringConfig, SteeringNet, directions
-from hrt_cli.steering.pictures import fitted
+from hrt_cli.steering.network import net as network
+from hrt_cli.steering.network.model import publish_model
+from hrt_cli.steering.network.net import SteeringConfig, SteeringNet, directions
+from hrt_cli.steering.network.pictures import fitted
 from hrt_cli.world.site import Site
 
 EAST = math.pi / 2

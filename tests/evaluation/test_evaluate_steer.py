@@ -18,9 +18,9 @@ from hrt_cli.errors import DifferenceError, InputError
 from hrt_cli.evaluation import steering as module
 from hrt_cli.evaluation.steering import evaluate_steer
 from hrt_cli.main import cli
-from hrt_cli.steering.metrics import measure, median_angles
-from hrt_cli.steering.model import publish_model
-from hrt_cli.steering.network import SteeringConfig, SteeringNet
+from hrt_cli.steering.network.metrics import measure, median_angles
+from hrt_cli.steering.network.model import publish_model
+from hrt_cli.steering.network.net import SteeringConfig, SteeringNet
 
 BOTH = SteeringConfig(outputs=("yaw", "pitch"), half_classes=1, width=32, height=32, goal=True)
 SEVEN = {"mae", "rmse", "accuracy", "nll", "ece", "constant_baseline_mae", "frames"}
@@ -171,7 +171,7 @@ def test_json_keys(model: Path, seen: Path) -> None:
 
 
 def test_the_model_and_its_export_measure_alike(model: Path, seen: Path, tmp_path: Path) -> None:
-    from hrt_cli.steering.onnx_export import export_onnx
+    from hrt_cli.steering.onnx.export import export_onnx
 
     export_onnx(model, tmp_path / "steer.onnx")
     ours, theirs = (json.loads(run(path, seen, "--json").stdout) for path in (model, tmp_path / "steer.onnx"))

@@ -19,7 +19,7 @@ from hrt_cli.evaluation.verify import verify_file
 from hrt_cli.raster.cog import Layout, publishing_cog
 from hrt_cli.raster.grid import Grid
 from hrt_cli.raster.windows import Window
-from hrt_cli.steering.model import publish_tensors
+from hrt_cli.steering.network.model import publish_tensors
 
 GRID = Grid(40, 50, Affine(0.1, 0, 500_000, 0, -0.1, 5_400_000), CRS.from_epsg(32633))
 

@@ -23,9 +23,9 @@ from tiny_trunk import TinyTrunk
 from world_files import map_xy, put_plan, put_world
 
 from hrt_cli.artifacts.provenance import record
-from hrt_cli.steering import network
-from hrt_cli.steering.model import publish_model, publish_tensors
-from hrt_cli.steering.network import SteeringConfig, SteeringNet
+from hrt_cli.steering.network import net as network
+from hrt_cli.steering.network.model import publish_model, publish_tensors
+from hrt_cli.steering.network.net import SteeringConfig, SteeringNet
 
 CONFIG = SteeringConfig(width=32, height=32, half_classes=3)
 SMALL = ["--size", "32x32", "--half-classes", "3", "--epochs", "2", "--batch", "8", "--gap", "0", "--threads", "1"]

@@ -7,7 +7,7 @@ import pytest
 import torch
 from tiny_trunk import TinyTrunk
 
-from hrt_cli.steering import network
+from hrt_cli.steering.network import net as network
 
 
 @contextmanager

@@ -10,9 +10,9 @@ import torch
 from torch import nn
 
 from hrt_cli.artifacts.provenance import record
-from hrt_cli.steering.model import publish_model
-from hrt_cli.steering.network import SteeringConfig, SteeringNet
-from hrt_cli.steering.pictures import prepare
+from hrt_cli.steering.network.model import publish_model
+from hrt_cli.steering.network.net import SteeringConfig, SteeringNet
+from hrt_cli.steering.network.pictures import prepare
 
 torch.set_num_threads(1)
 

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from hrt_cli.artifacts.provenance import record
-from hrt_cli.steering.model import publish_model
-from hrt_cli.steering.network import SteeringConfig, SteeringNet
+from hrt_cli.steering.network.model import publish_model
+from hrt_cli.steering.network.net import SteeringConfig, SteeringNet
 
 # For pictures this small, threads cost more than they bring.
 torch.set_num_threads(1)

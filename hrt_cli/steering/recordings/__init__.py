@@ -1,0 +1,1 @@
+"""Folders of recorded drives, in several formats, as frames with labels."""
