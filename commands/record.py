@@ -48,13 +48,18 @@ def record(
     """Look from random places of a site and tell how to steer there: steering data without a drive.
 
     WORLD is a folder with ortho.tif and dsm.tif. Each frame comes with what every turn would cost there on the way to
-    several goals.
+    several goals. A recording that was stopped or killed goes on where it was when the same command is run again.
     """
     from hrt_cli.driving.glance_stage import GlanceRequest, record_folder
 
     with console.bar("record") as progress:
         done = record_folder(
-            world, output, GlanceRequest(frames, near, vehicle, seed), existing=existing, progress=progress
+            world,
+            output,
+            GlanceRequest(frames, near, vehicle, seed),
+            existing=existing,
+            progress=progress,
+            note=console.note,
         )
     state = " (up to date)" if done.up_to_date else ""
     console.result(

@@ -26,13 +26,20 @@ def publish_json(target: Path, document: dict[str, Any], provenance: Provenance)
         draft.write_text(text, encoding="utf-8")
 
 
+def read_stamped_json(path: Path) -> tuple[dict[str, Any], Provenance | None]:
+    """Read a JSON object and its provenance, against which the rest is checked; None where it bears none."""
+    document = jsonio.parse_strict(path, jsonio.read_text(path))
+    if not isinstance(document, dict):
+        return {}, None
+    if _KEY not in document:
+        return document, None
+    found = parse_provenance(path, document.pop(_KEY))
+    return document, checked(path, found, _json_sha256(document))
+
+
 def json_provenance(path: Path) -> Provenance | None:
     """Read the provenance of a JSON object and check its content against it."""
-    document = jsonio.parse_strict(path, jsonio.read_text(path))
-    if not isinstance(document, dict) or _KEY not in document:
-        return None
-    found = parse_provenance(path, document.pop(_KEY))
-    return checked(path, found, _json_sha256(document))
+    return read_stamped_json(path)[1]
 
 
 def publish_npz(target: Path, arrays: npz.Arrays, provenance: Provenance) -> None:

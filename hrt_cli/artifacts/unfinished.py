@@ -22,23 +22,31 @@ C = TypeVar("C")
 S = TypeVar("S")
 
 
+def checkpoint_path(output: Path) -> Path:
+    """Return where the unfinished work of an output lies."""
+    return output.with_name(f".{output.name}.hrt-checkpoint")
+
+
 class Unfinished:
-    """The checkpoint of a training.
+    """The checkpoint of some long work.
 
     Parameters
     ----------
     output : Path
-        The file that the training will write.
+        The file that the work will write in the end.
     provenance : Provenance
         What makes it; a checkpoint of another fingerprint or version of hrt is not used.
     note : callable
         Told, in one line each, what became of the checkpoint.
+    work : str
+        What to call the work in notes.
     """
 
-    def __init__(self, output: Path, provenance: Provenance, note: Note = unheard) -> None:
-        self.path = output.with_name(f".{output.name}.hrt-checkpoint")
+    def __init__(self, output: Path, provenance: Provenance, note: Note = unheard, work: str = "training") -> None:
+        self.path = checkpoint_path(output)
         self._provenance = provenance
         self._note = note
+        self._work = work
         self._warned = False
 
     def load(self, read: Callable[[Path], tuple[C, Provenance | None]], use: Callable[[C], S]) -> S | None:
@@ -58,13 +66,13 @@ class Unfinished:
             if found is None:
                 raise InputError(self.path, "carries no provenance")
             if not self._is_ours(found):
-                self._note(f"Note: {self.path}: is of a training with other settings and will be replaced")
+                self._note(f"Note: {self.path}: is of a {self._work} with other settings and will be replaced")
                 return None
             return use(content)
         except InputError as error:
-            self._note(f"Warning: {error}; the training begins anew")
+            self._note(f"Warning: {error}; the {self._work} begins anew")
         except ValueError as error:
-            self._note(f"Warning: {self.path}: {error}; the training begins anew")
+            self._note(f"Warning: {self.path}: {error}; the {self._work} begins anew")
         return None
 
     def save(self, publish: Callable[[Path, Provenance], None]) -> bool:
@@ -73,7 +81,7 @@ class Unfinished:
             publish(self.path, self._provenance)
         except OutputError as error:
             if not self._warned:
-                self._note(f"Warning: {error}; should the training be stopped, this part of it is lost")
+                self._note(f"Warning: {error}; should the {self._work} be stopped, this part of it is lost")
             self._warned = True
             return False
         return True
@@ -85,7 +93,7 @@ class Unfinished:
             sweep(self.path)
 
     def remove_own(self, read_provenance: Callable[[Path], Provenance | None]) -> None:
-        """Delete the file where it is of this very training, which an earlier run ended."""
+        """Delete the file where it is of this very work, which an earlier run ended."""
         with suppress(InputError):
             if self._is_ours(read_provenance(self.path)):
                 self.remove()

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import math
 import shutil
 from collections.abc import Sequence
@@ -18,7 +19,8 @@ from numpy.typing import NDArray
 
 from hrt_cli.artifacts.carriers import publish_json
 from hrt_cli.artifacts.provenance import Provenance
-from hrt_cli.artifacts.publish import publishing
+from hrt_cli.artifacts.publish import publishing, sweep
+from hrt_cli.artifacts.unfinished import checkpoint_path
 from hrt_cli.driving.goal import AHEAD_M
 from hrt_cli.driving.turns import ANGLES
 from hrt_cli.driving.vehicle import Kind
@@ -69,9 +71,39 @@ class Album:
     def __init__(self, folder: Path, kind: Kind, lens: Lens) -> None:
         self._folder, self._kind, self._lens = folder, kind, lens
         self._rows: list[str] = []
+        self._pictures = hashlib.sha256()
 
     def __len__(self) -> int:
         return len(self._rows)
+
+    @property
+    def rows(self) -> list[str]:
+        """The lines of the labels so far, a copy."""
+        return list(self._rows)
+
+    @property
+    def pictures_sha256(self) -> str:
+        """Over the files of the pictures so far, one after the other."""
+        return self._pictures.hexdigest()
+
+    def go_on(self, rows: Sequence[str], pictures_sha256: str) -> None:
+        """Go on after pictures that lie in the folder, and these lines of their labels.
+
+        Raises
+        ------
+        ValueError
+            They do not lie there as they were written.
+        """
+        pictures = hashlib.sha256()
+        for number in range(len(rows)):
+            path = self._folder / _picture(number)
+            try:
+                pictures.update(path.read_bytes())
+            except OSError as error:
+                raise ValueError(f"{path} cannot be read: {error.strerror}") from error
+        if pictures.hexdigest() != pictures_sha256:
+            raise ValueError("the pictures are not those that were recorded")
+        self._rows, self._pictures = list(rows), pictures
 
     def add(self, rgb: NDArray[np.uint8], lesson: Lesson, session: str) -> None:
         """Write a picture, uint8 [rows, cols, 3], and keep what it teaches.
@@ -83,12 +115,13 @@ class Album:
         OutputError
             It cannot be written.
         """
-        name = f"{FRAMES}/{len(self):06d}.jpg"
-        done, data = cv2.imencode(".jpg", rgb[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])
+        name = _picture(len(self))
+        done, encoded = cv2.imencode(".jpg", rgb[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])
         if not done:
             raise OutputError(f"{self._folder / name}: cannot be encoded")
+        data = encoded.tobytes()
         try:
-            (self._folder / name).write_bytes(data.tobytes())
+            (self._folder / name).write_bytes(data)
         except OSError as error:
             raise OutputError(f"{self._folder / name}: cannot be written: {error.strerror}") from error
         labels = f"{lesson.yaw:.5f},{lesson.pitch:.5f}" if self._kind == "auv" else f"{lesson.yaw:.5f}"
@@ -97,6 +130,7 @@ class Album:
         # It may be named after a file, and file names may hold commas.
         quoted = '"' + session.replace('"', '""') + '"' if set(session) & set(',"') else session
         self._rows.append(",".join([name, labels, quoted, *told]))
+        self._pictures.update(data)
 
     def finish(self, provenance: Provenance, **more: Any) -> int:
         """Write the labels; return how many pictures there are.
@@ -134,6 +168,10 @@ class Album:
         }
 
 
+def _picture(number: int) -> str:
+    return f"{FRAMES}/{number:06d}.jpg"
+
+
 def _spaced(values: NDArray[np.float64]) -> str:
     return " ".join(f"{each:.2f}" for each in values.ravel().tolist())
 
@@ -150,15 +188,18 @@ def prepare_folder(folder: Path, inputs: Sequence[Path], *, overwrite: bool) -> 
         raise OutputError(f"{folder}: holds an input; record into another folder")
     if folder.exists() and not folder.is_dir():
         raise OutputError(f"{folder}: is a file; a recording needs a folder")
-    ours = {LABELS, FRAMES, ABOUT}
+    unfinished = checkpoint_path(folder / ABOUT)
+    for path in (folder / LABELS, folder / ABOUT, unfinished):
+        sweep(path)
+    ours = {LABELS, FRAMES, ABOUT, unfinished.name}
     found = {path.name for path in folder.iterdir()} if folder.exists() else set()
     if found - ours:
         raise OutputError(f"{folder}: holds {sorted(found - ours)[0]!r}, which is no part of a recording")
     if LABELS in found and not overwrite:
         raise OutputError(f"{folder}: holds a recording that was not made by this run; use --overwrite to replace it")
     try:
-        for name in (LABELS, ABOUT):
-            (folder / name).unlink(missing_ok=True)
+        for path in (folder / LABELS, folder / ABOUT, unfinished):
+            path.unlink(missing_ok=True)
         shutil.rmtree(folder / FRAMES, ignore_errors=True)
         (folder / FRAMES).mkdir(parents=True)
     except OSError as error:

@@ -6,6 +6,7 @@ something in the way, and pictures of one obstacle are taken from all round it.
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Iterator
 
@@ -60,8 +61,10 @@ class Glances:
 
     Attributes
     ----------
+    number : int
+        Pictures so far.
     near : int
-        Of the pictures so far, how many have something in the way: as many as asked for, where the site has them.
+        How many of them have something in the way: as many as asked for, where the site has them.
 
     Raises
     ------
@@ -72,7 +75,6 @@ class Glances:
     def __init__(self, site: Site, vehicle: Vehicle, near: float, seed: int) -> None:
         self._site, self._vehicle, self._share, self._seed = site, vehicle, near, seed
         self._swims = vehicle.kind == "auv"
-        self.near = 0
         self._map = (water_map if self._swims else cost_map)(site, vehicle.radius_m)
         self._elsewhere = Elsewhere(self._map, vehicle, vehicle.cruise_m_s)
         self._room = rim_distance(site) - vehicle.radius_m - _RIM_M
@@ -81,21 +83,50 @@ class Glances:
             raise ArgumentError("the site has no place where the robot may be")
         # What it cannot get to from most of the site it will never see.
         self._cells = np.argwhere(pieces == 1 + int(np.argmax(np.bincount(pieces.ravel())[1:])))
+        self.begin()
+
+    def begin(self) -> None:
+        """Begin anew."""
+        self.number = self.near = 0
+        self._rng = np.random.default_rng([self._seed, 0x61])
+
+    @property
+    def random(self) -> str:
+        """State of the generator, as JSON."""
+        return json.dumps(self._rng.bit_generator.state)
+
+    def go_on(self, number: int, near: int, random: str) -> None:
+        """Go on as after so many pictures, with the generator as it then was.
+
+        Raises
+        ------
+        ValueError
+            That is no state of the generator.
+        """
+        rng = np.random.default_rng()
+        try:
+            rng.bit_generator.state = json.loads(random)
+        except (ValueError, TypeError, KeyError, OverflowError) as error:
+            raise ValueError("holds no state of the random numbers") from error
+        self.number, self.near, self._rng = number, near, rng
 
     def __call__(self, count: int) -> Iterator[tuple[NDArray[np.uint8], Lesson]]:
-        """Yield so many pictures, uint8 [rows, cols, 3], with what they teach.
+        """Yield pictures, uint8 [rows, cols, 3], with what they teach, until there are so many.
 
         Raises
         ------
         ArgumentError
             There seems to be no way from anywhere to anywhere.
         """
-        rng = np.random.default_rng([self._seed, 0x61])
-        for number in range(count):
-            if number % IN_ONE_WEATHER == 0:
-                camera = camera_of(self._site, self._vehicle, 1_000_003 * self._seed + number)
+        rng, weather = self._rng, -1
+        while self.number < count:
+            number = self.number
+            if weather != number // IN_ONE_WEATHER:
+                weather = number // IN_ONE_WEATHER
+                camera = camera_of(self._site, self._vehicle, 1_000_003 * self._seed + weather * IN_ONE_WEATHER)
             pose, goals = self._place(bool(rng.random() < self._share), rng)
             noise = 2_000_003 * self._seed + number
+            self.number += 1
             yield look(camera, self._site, self._vehicle, pose, noise_seed=noise).rgb, self._lesson(pose, goals)
 
     def _place(self, near: bool, rng: np.random.Generator) -> tuple[Pose, Goals]:

@@ -20,7 +20,7 @@ from hrt_cli.driving.turns import ANGLES
 from hrt_cli.driving.vehicle import AUV, UGV
 from hrt_cli.errors import ArgumentError
 from hrt_cli.main import cli
-from hrt_cli.steering.samples import read_samples
+from hrt_cli.steering.recordings.samples import read_samples
 from hrt_cli.world.site import Site
 
 ROWS, COLS = 120, 160  # 12 m by 16 m
@@ -142,7 +142,7 @@ class TestCommand:
         assert done.exit_code == 0, done.output
         found = json.loads(done.stdout)
         assert found.pop("near") == pytest.approx(0.8 * count, abs=0.12 * count)
-        assert found == {"output": str(folder), "up_to_date": False, "frames": count}
+        assert found == {"output": str(folder), "up_to_date": False, "frames": count, "resumed_at": 0}
         samples = read_samples([folder])
         assert len(samples.paths) == len(list((folder / "frames").iterdir())) == count
         assert samples.sessions == ("g/g-0-0", "g/g-0-1")
