@@ -1,4 +1,4 @@
-# A robot learns to steer from one survey, before it has driven a metre: make -f steer.mk world=../site
+# A robot learns to steer from a survey, before it has driven a metre: make -f steer.mk world=../site
 #
 # Glances are what it would see at random places of the site, most of them with something in the way. Round 1 shows it
 # besides how the expert drives, who sees the site as it is. In each later round the robot itself drives, and the expert
@@ -6,6 +6,8 @@
 # learns from all so far:
 #   glances/labels.csv  round-1/drive-1/labels.csv  drive-1.jsonl  ...  steer.safetensors  curve.png
 #   test/drive-1.jsonl  ...  report.json
+# From several sites (steer_worlds) it learns likewise: each has glances of its own (glances, glances-2, ...), and the
+# drives go by turns over all.
 # The courses are random legs over the site (hrt drive --roam), others in the test than in training.
 
 .DEFAULT_GOAL := steering
@@ -29,30 +31,38 @@ $(foreach key,steer_epochs steer_rate,$(if $(filter $(words $(learn_rounds)),\
 endif
 learn_drives := $(call count,$(steer_drives))
 steer_out := $(out)/steer
-world_files := $(wildcard $(addprefix $(world)/,ortho.tif ortho.vrt dsm.tif truth.tif classes.tif world.json))
-roam_args = --world $(world) --roam $(steer_metres)
+site_files = $(wildcard $(addprefix $1/,ortho.tif ortho.vrt dsm.tif truth.tif classes.tif world.json))
+learn_worlds := $(world) $(steer_worlds)
+world_count := $(words $(learn_worlds))
+# The site of a drive.
+world_of = $(word $(shell echo $$(( ($1 - 1) % $(world_count) + 1 ))),$(learn_worlds))
+roam_args = --roam $(steer_metres)
 # It is pushed off its way now and then, so that it shows how to get back.
 push_args = --local teacher --disturb $(steer_disturb)
 train_args = --balance $(steer_balance) --size $(steer_size) --crop-top $(steer_crop) --columns $(steer_columns) \
   --batch $(steer_batch) --sigma $(steer_sigma) --share 0.1 --patience 0 --threads $(workers)
-glance_args = --frames $(steer_glances) --near $(steer_near) --seed $(seed)
+glance_args = --frames $(shell echo $$(( $(steer_glances) / $(world_count) ))) --near $(steer_near)
 
 ifeq ($(filter clean%,$(MAKECMDGOALS)),)
-$(call stamp,steer-drive,$(roam_args) $(seed) $(steer_drives))
+$(call stamp,steer-drive,$(learn_worlds) $(roam_args) $(seed) $(steer_drives))
 $(call stamp,steer-push,$(push_args))
 $(call stamp,steer-train,$(train_args) $(steer_epochs) $(steer_rate) $(seed))
-$(call stamp,steer-glances,$(glance_args))
+$(call stamp,steer-glances,$(learn_worlds) $(glance_args) $(seed))
 endif
 
-$(steer_out)/glances/labels.csv: $(world_files) $(stamps)/steer-glances
-	$(HRT) record $(world) -o $(@D) $(glance_args) --overwrite
-	@touch $@
+# $1 number of a site, $2 its folder.
+define glances
+$(steer_out)/glances$(if $(filter-out 1,$1),-$1)/labels.csv: $(call site_files,$2) $(stamps)/steer-glances
+	$(HRT) record $2 -o $$(@D) $(glance_args) --seed $$$$(( $(seed) + $1 - 1 )) --overwrite
+	@touch $$@
+$(eval recordings += $(steer_out)/glances$(if $(filter-out 1,$1),-$1)/labels.csv)
+endef
 
 # $1 round, $2 drive, $3 who drives, $4 what that depends on.
 define learning_drive
-$(steer_out)/round-$1/drive-$2/labels.csv: $(world_files) $4 $(stamps)/steer-drive
+$(steer_out)/round-$1/drive-$2/labels.csv: $(call site_files,$(call world_of,$2)) $4 $(stamps)/steer-drive
 	@mkdir -p $$(@D)
-	$(HRT) drive $(roam_args) -o $(steer_out)/round-$1/drive-$2.jsonl --record $$(@D) $3 \
+	$(HRT) drive --world $(call world_of,$2) $(roam_args) -o $(steer_out)/round-$1/drive-$2.jsonl --record $$(@D) $3 \
 	  --seed $$$$(( $(seed) * 100000 + $1 * 1000 + $2 )) --overwrite
 	@touch $$@
 $(eval recordings += $(steer_out)/round-$1/drive-$2/labels.csv)
@@ -70,7 +80,10 @@ $(steer_out)/round-$1/steer.safetensors: $(recordings) $(learnt) $(stamps)/steer
 $(eval learnt := $(steer_out)/round-$1/steer.safetensors)
 endef
 
-recordings := $(if $(filter-out 0,$(steer_glances)),$(steer_out)/glances/labels.csv)
+recordings :=
+ifneq ($(filter-out 0,$(steer_glances)),)
+$(foreach k,$(call count,$(world_count)),$(eval $(call glances,$k,$(word $k,$(learn_worlds)))))
+endif
 learnt :=
 $(foreach r,$(learn_rounds),$(eval $(call learning_round,$r)))
 
@@ -79,7 +92,7 @@ learning: $(learnt)
 # What it learnt, on courses that it has not seen, here or on another site.
 test_logs := $(foreach d,$(call count,$(steer_test_drives)),$(steer_out)/test/drive-$d.jsonl)
 test_world := $(if $(steer_test_world),$(steer_test_world),$(world))
-test_files := $(wildcard $(addprefix $(test_world)/,ortho.tif ortho.vrt dsm.tif truth.tif classes.tif world.json))
+test_files := $(call site_files,$(test_world))
 
 ifeq ($(filter clean%,$(MAKECMDGOALS)),)
 $(call stamp,steer-test,$(test_world) $(steer_metres) $(seed))

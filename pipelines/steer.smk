@@ -1,7 +1,8 @@
-# A robot learns to steer from one survey, before it has driven a metre: snakemake -s steer.smk --cores 2 --config world=../site
+# A robot learns to steer from a survey, before it has driven a metre: snakemake -s steer.smk --cores 2 --config world=../site
 #
 # As in steer.mk: glances at random places; round 1 shows besides how the expert drives, in each later round the robot
 # itself drives and is corrected; it learns from all so far, and is tested on courses that it has not seen.
+# From several sites (steer_worlds) it learns likewise: each has glances of its own, and the drives go by turns over all.
 from pathlib import Path
 
 from snakemake.exceptions import WorkflowError
@@ -13,6 +14,7 @@ include: "Snakefile"
 WORLD = config.get("world")
 if not WORLD:
     raise WorkflowError("config.yaml: to learn to steer, a robot needs a world: a folder with ortho.tif and dsm.tif")
+WORLDS = [WORLD, *str(config.get("steer_worlds") or "").split()]
 TEST_WORLD = config.get("steer_test_world") or WORLD
 STEER = f"{OUT}/steer"
 LEARN_ROUNDS = range(1, int(config["steer_rounds"]) + 1)
@@ -36,10 +38,20 @@ def site_of(world):
     return [f"{world}/{name}" for name in names if Path(world, name).is_file()]
 
 
+def glances_of(number):
+    """The folder of the glances of a site."""
+    return f"{STEER}/glances" + (f"-{number}" if int(number) > 1 else "")
+
+
+def world_of(drive):
+    """The site of a drive."""
+    return WORLDS[(int(drive) - 1) % len(WORLDS)]
+
+
 def labels(number):
     """The recordings to learn from in a round."""
-    glances = [f"{STEER}/glances/labels.csv"] if int(config["steer_glances"]) else []
-    return glances + expand(f"{STEER}/round-{{r}}/drive-{{d}}/labels.csv", r=range(1, int(number) + 1), d=DRIVES)
+    sites = range(1, len(WORLDS) + 1) if int(config["steer_glances"]) else []
+    return [f"{glances_of(site)}/labels.csv" for site in sites] + expand(f"{STEER}/round-{{r}}/drive-{{d}}/labels.csv", r=range(1, int(number) + 1), d=DRIVES)
 
 
 def model_before(number):
@@ -65,28 +77,33 @@ rule steering:
         f"{STEER}/test/report.json",
 
 
-rule glances:
-    input:
-        site_of(WORLD),
-    output:
-        f"{STEER}/glances/labels.csv",
-    params:
-        world=WORLD,
-        folder=f"{STEER}/glances",
-        what=f"--frames {config['steer_glances']} --near {config['steer_near']} --seed {config['seed']}",
-    shell:
-        "hrt record {params.world} -o {params.folder} {params.what} --overwrite"
+for site, world in enumerate(WORLDS, start=1):
+
+    rule:
+        name:
+            f"glances_{site}"
+        input:
+            site_of(world),
+        output:
+            f"{glances_of(site)}/labels.csv",
+        params:
+            world=world,
+            folder=glances_of(site),
+            what=f"--frames {int(config['steer_glances']) // len(WORLDS)} --near {config['steer_near']}",
+            seed=int(config["seed"]) + site - 1,
+        shell:
+            "hrt record {params.world} -o {params.folder} {params.what} --seed {params.seed} --overwrite"
 
 
 rule learning_drive:
     input:
-        world=site_of(WORLD),
+        world=lambda wildcards: site_of(world_of(wildcards.drive)),
         model=lambda wildcards: model_before(wildcards.round),
     output:
         labels=f"{STEER}/round-{{round}}/drive-{{drive}}/labels.csv",
         log=f"{STEER}/round-{{round}}/drive-{{drive}}.jsonl",
     params:
-        world=WORLD,
+        world=lambda wildcards: world_of(wildcards.drive),
         metres=config["steer_metres"],
         folder=lambda wildcards: f"{STEER}/round-{wildcards.round}/drive-{wildcards.drive}",
         driver=lambda wildcards: driver(wildcards.round),

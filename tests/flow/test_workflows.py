@@ -103,11 +103,14 @@ def test_make_learns_to_steer(project: Path) -> None:
 
 
 @pytest.mark.skipif(shutil.which("snakemake", path=ENV["PATH"]) is None, reason="snakemake is not installed")
-def test_snakemake_would_learn_to_steer_by_the_same_commands(project: Path) -> None:
+@pytest.mark.parametrize(
+    ("more", "count"), [({}, 7), ({"steer_worlds": str(ROOT / "fixtures" / "wildfire"), "steer_drives": "3"}, 12)]
+)
+def test_snakemake_would_learn_to_steer_by_the_same_commands(project: Path, more: dict[str, str], count: int) -> None:
     world = ROOT / "fixtures" / "meadow"
     file = project / "steer.smk"
     command = ["snakemake", "-n", "-p", "--cores", "1", "--directory", str(project), "--snakefile", str(file)]
-    given = [f"{key}={value}" for key, value in TINY.items()]
+    given = [f"{key}={value}" for key, value in (TINY | more).items()]
     done = subprocess.run([*command, "--config", f"world={world}", *given], env=ENV, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
     made = make(project, "-n", "-f", "steer.mk", f"world={world}", *given)
@@ -117,7 +120,7 @@ def test_snakemake_would_learn_to_steer_by_the_same_commands(project: Path) -> N
         found = re.findall(r"^(?:Shell command: *|\s*@?)hrt (.*)", whole, re.MULTILINE)
         return sorted(sorted(each.split()) for each in found)
 
-    assert len(commands(made)) == 7
+    assert len(commands(made)) == count
     assert commands(done.stdout + done.stderr) == commands(made)
     refused = subprocess.run(command, env=ENV, capture_output=True, text=True)
     assert refused.returncode != 0
