@@ -28,6 +28,8 @@ _PATIENCE = 60
 """A way out is given up after so many looks."""
 _TOLD_M, _HELD = 0.6, 0.2
 """A robot is held where it was told to drive so far, and came no farther than this share of it."""
+_ALIGNED_RAD = 0.3
+"""A way out is taken once the robot looks along it so closely."""
 _BLOCKED_RAD = math.radians(100.0)
 """Ways nearer than this to one on which it was held are not free, however they look: it may touch a wall askew."""
 
@@ -40,6 +42,7 @@ class Detour:
         self._heading_rad = self._turned_rad = 0.0
         self._free: list[float] | None = None
         self._out_rad: float | None = None
+        self._aligned = False
         self._far_m, self._looks = _FIRST_M, 0
         self._told_m = 0.0
         self._told_from: tuple[float, float] | None = None
@@ -47,8 +50,13 @@ class Detour:
 
     @property
     def spinning(self) -> bool:
-        """Whether the robot has to turn on the spot now, whatever it sees."""
+        """Whether the robot has to turn on the spot now, whatever it sees: it looks all round."""
         return self._free is not None
+
+    @property
+    def aligning(self) -> bool:
+        """Whether it does not look along its way out yet: for a curve there may be no room."""
+        return self._out_rad is not None and not self._aligned
 
     def bearing_rad(self, known: Pose, goal_rad: float, told_m: float, ahead: Callable[[], float]) -> float:
         """Return the bearing to make for, in [-pi, pi), right positive; to be asked at every look.
@@ -103,12 +111,13 @@ class Detour:
         out = min(free or back, key=lambda way: abs(wrapped(way - to_goal)), default=None)
         again = math.dist(here, self._last_place) < _ABOUT_THERE_M + self._far_m
         self._far_m = min(2 * self._far_m, _LONGEST_M) if again else _FIRST_M
-        self._place, self._last_place, self._free, self._out_rad = here, here, None, out
+        self._place, self._last_place, self._free, self._out_rad, self._aligned = here, here, None, out, False
         self._turned_rad, self._looks = 0.0, 0
         return goal_rad if out is None else wrapped(out - self._heading_rad)
 
     def _leave(self, here: tuple[float, float], goal_rad: float, out_rad: float) -> float:
         self._looks += 1
+        self._aligned |= abs(wrapped(out_rad - self._heading_rad)) < _ALIGNED_RAD
         far = math.dist(here, self._place) > self._far_m
         if far or self._looks > _PATIENCE:
             self._out_rad, self._place, self._turned_rad = None, here, 0.0

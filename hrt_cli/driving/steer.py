@@ -87,6 +87,11 @@ class Steer:
         bearing = self._detour.bearing_rad(known, goal_rad, self._told_m, lambda: self._yaw_by(ask(0.0)["yaw"], None))
         if self._detour.spinning:
             return Command(math.copysign(1.0, self._yaw), 0.0, 0.0)
+        if self._detour.aligning and self._setting.vehicle.kind == "auv":
+            # On the ground it turns on the spot anyway; a diver would be held while it turns, and take the way for
+            # blocked. Then it swims on as if it had come that way.
+            self._yaw = 0.0
+            return Command(math.copysign(1.0, bearing), 0.0, 0.0)
         return self._steered(ask(bearing))
 
     def _steered(self, found: Distributions) -> Command:

@@ -85,6 +85,20 @@ def test_it_leaves_by_the_free_way_that_is_nearest_to_its_goal() -> None:
     assert detour.bearing_rad(replace(pose, east_m=HERE.east_m + 2.1), 0.7, 0.0, never) == 0.7
 
 
+@pytest.mark.parametrize("side", [-1.0, 1.0])
+def test_it_turns_to_its_way_out_on_the_spot(side: float) -> None:
+    detour = Detour()
+    pose = swing(detour, 3 * TURN)
+    assert not detour.aligning
+    bearing, pose = spin(detour, pose, 0.0, between(50, 70))
+    out = wrapped(pose.heading_rad + bearing)
+    assert detour.aligning
+    for off, aligning in ((2.0, True), (0.35, True), (0.25, False), (0.8, False)):
+        pose = replace(pose, heading_rad=out - side * off)
+        assert detour.bearing_rad(pose, 3.0, 0.0, never) == pytest.approx(side * off)
+        assert detour.aligning == aligning, "once it looks along it, it may steer as it sees fit"
+
+
 def test_the_next_way_out_from_about_there_leads_farther() -> None:
     detour, lengths = Detour(), []
     for from_m in (0.0, 1.0, 2.0, 3.0, 40.0):

@@ -155,6 +155,39 @@ def test_one_that_turned_to_and_fro_looks_round_before_it_drives_on() -> None:
     assert not looking[-1]
 
 
+class Ordered:
+    """A detour that does as it is told."""
+
+    spinning, aligning, to_rad = False, False, 0.0
+
+    def bearing_rad(self, known: Pose, goal_rad: float, told_m: float, ahead: object) -> float:
+        return self.to_rad
+
+
+@pytest.mark.parametrize("side", [-1.0, 1.0])
+def test_a_diver_turns_to_its_way_out_and_forgets_the_side_that_it_took(side: float) -> None:
+    """Whatever it sees, and by however little; it would swim on while it turns, where there may be no room."""
+    pose, ahead = Pose(5.0, 5.0, -3.0, 0.0, 0.0), peaks(k0=1.0)
+    aside = Model(goal=True, yaw=peaks(k_7=1.0) if side < 0 else peaks(k7=1.0), pitch=ahead)
+    planner = Steer(aside, setting(site=water()))
+    planner._detour = detour = Ordered()  # type: ignore[assignment]
+
+    def command() -> Command:
+        found = [planner.decide(pose, pose) for _ in range(2)]
+        assert found[0] is not None
+        return found[0]
+
+    assert command().yaw == pytest.approx(side)
+    detour.aligning, detour.to_rad = True, -0.4 * side
+    assert command() == Command(-side, 0.0, 0.0)
+    detour.aligning, detour.to_rad = False, 0.0
+    tempting = {"k_7" if side < 0 else "k7": 0.36}
+    planner._predictor = Model(goal=True, yaw=peaks(k_1=0.12, k0=0.4, k1=0.12, **tempting), pitch=ahead)
+    assert (command().yaw, command().speed) == (pytest.approx(0.0), pytest.approx(1.0))
+    planner._yaw = side
+    assert command().yaw == pytest.approx(side), "or else nothing was shown"
+
+
 def test_a_diver_that_does_not_know_swims_on() -> None:
     unsure = peaks(k_7=0.16, k_4=0.04, k_1=0.11, k0=0.21, k1=0.11, k4=0.14, k7=0.23)
     model = Model(yaw=unsure, pitch=peaks(k0=1.0))
