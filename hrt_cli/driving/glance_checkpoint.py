@@ -9,7 +9,7 @@ from typing import Any, Literal
 
 from pydantic import ValidationError
 
-from hrt_cli.artifacts.carriers import publish_json, read_stamped_json
+from hrt_cli.artifacts.carriers import json_provenance, publish_json, read_stamped_json
 from hrt_cli.artifacts.jsonio import Document, describe
 from hrt_cli.artifacts.provenance import Provenance
 from hrt_cli.artifacts.unfinished import Unfinished
@@ -110,3 +110,7 @@ class Checkpoint:
     def remove(self) -> None:
         """See `Unfinished.remove`."""
         self._file.remove()
+
+    def remove_own(self) -> None:
+        """See `Unfinished.remove_own`."""
+        self._file.remove_own(json_provenance)

@@ -90,13 +90,14 @@ def record_folder(
         raise output_error(folder, error) from error
     outputs: dict[Path, ReadProvenance] = {folder / ABOUT: json_provenance}
     job = begin(STAGE, STAGE_VERSION, inputs=inputs, parameters=asdict(request), outputs=outputs, existing=existing)
+    checkpoint = Checkpoint(folder, request.frames, job.provenance, note)
     if job.up_to_date:
+        checkpoint.remove_own()
         return _summary(folder, True)
     site = load_site(world)
     vehicle = VEHICLES[request.vehicle or ("auv" if site.under_water else "ugv")]
     glances = Glances(site, vehicle, request.near, request.seed)
     album = Album(folder, vehicle.kind, clear_camera(site, vehicle).lens)
-    checkpoint = Checkpoint(folder, request.frames, job.provenance, note)
 
     def go_on(kept: Kept) -> None:
         glances.go_on(len(kept.rows), kept.near, kept.random)

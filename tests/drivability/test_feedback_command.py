@@ -8,12 +8,12 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner, Result
 from drives import UTM33, eastward, halves, in_degrees, put_classes, put_log
+from hrt_commands.feedback import feedback
 
 from hrt_cli import main as shell
 from hrt_cli.drivability.feedback import FeedbackSettings
 from hrt_cli.drivability.feedback_stage import learn_scores
 from hrt_cli.main import cli
-from hrt_commands.feedback import feedback
 
 
 @pytest.fixture

@@ -141,6 +141,16 @@ def test_a_finished_recording_is_still_not_replaced_unasked(world: Path, tmp_pat
     assert len(content(folder)) == FRAMES + 2
 
 
+def test_killed_after_its_last_word_it_leaves_nothing(world: Path, whole: dict[str, bytes], tmp_path: Path) -> None:
+    folder = tmp_path / "g"
+    begun(world, folder, FRAMES)
+    kept = (folder / CHECKPOINT).read_bytes()
+    ended(world, folder)
+    (folder / CHECKPOINT).write_bytes(kept)
+    assert ended(world, folder)[0].up_to_date
+    assert content(folder) == whole
+
+
 def test_where_it_cannot_be_kept_it_goes_on(
     world: Path, whole: dict[str, bytes], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -10,11 +10,11 @@ from typing import Any
 import click
 import pytest
 from click.testing import CliRunner
+from hrt_commands.evaluate import KINDS, evaluate
 
 from hrt_cli.errors import HrtError
 from hrt_cli.lazy import LazyGroup
 from hrt_cli.main import cli
-from hrt_commands.evaluate import KINDS, evaluate
 
 TABLE = {"one": ("lazy_probe_that_is_absent:one", "The first."), "two": ("hrt_commands.drive:drive", "The second.")}
 

@@ -15,10 +15,10 @@ from typing import Any
 
 import click
 import pytest
+from hrt_commands.evaluate import KINDS
 
 from hrt_cli import main as shell
 from hrt_cli.errors import ArgumentError, DifferenceError, InputError, OutputError
-from hrt_commands.evaluate import KINDS
 
 HEAVY = ("torch", "numba", "cv2", "sklearn", "rasterio", "numpy", "scipy", "matplotlib", "pydantic")
 PROGRAM = [sys.executable, "-m", "hrt_cli.main"]
