@@ -50,12 +50,46 @@ Example:
     "--altitude",
     "altitude_m",
     type=opt.FiniteFloat(-11_000, 10_000),
-    default=0.0,
-    show_default=True,
-    help="Altitude above home in metres; a submarine's depth is negative.",
+    help="Altitude above home in metres; a submarine's depth is negative. Default: 0.",
+)
+@click.option(
+    "--depth",
+    "depth_m",
+    type=opt.FiniteFloat(0, 11_000, low_open=True),
+    help="Depth below home, m: the same as a negative --altitude.",
+)
+@click.option(
+    "--above-bottom",
+    "above_bottom_m",
+    type=opt.FiniteFloat(0, 11_000, low_open=True),
+    help="Height of a submarine above the bottom, m, in place of a depth: it needs a sounder.",
 )
 @click.option("--hold", "hold_s", type=click.IntRange(0, 3600), default=0, show_default=True, help="Wait, s.")
+@click.option(
+    "--tolerance",
+    "tolerance_m",
+    type=opt.FiniteFloat(0),
+    default=0.0,
+    show_default=True,
+    help="Leave out waypoints where the straight way stays within so many metres of the plan, and off what is no-go.",
+)
+@click.option("--spacing", "spacing_m", type=opt.FiniteFloat(0.1), help="At most so many metres between waypoints.")
 @click.option("--max-items", type=click.IntRange(1), help="Most mission items. Default: what the autopilot stores.")
+@click.option(
+    "--scoremap",
+    "scoremap_path",
+    type=opt.PATH,
+    help="The plan's scoremap: straight ways may lead through all of its open cells, and Nav2 gets it as maps.",
+)
+@click.option(
+    "--local-frame",
+    "frame",
+    type=click.Choice(["utm", "enu"]),
+    default="utm",
+    show_default=True,
+    help="Of the formats in metres (nav2, moos): UTM less the datum, or metres to its true east and north.",
+)
+@click.option("--datum", type=opt.LonLat(), help="Origin of the local frame. Default: the map's south-west corner.")
 @opt.existing_options
 @opt.console_options
 def export(
@@ -65,31 +99,53 @@ def export(
     vehicle: Literal["rover", "boat", "submarine"],
     firmware: Literal["ardupilot", "px4"],
     speed_m_s: float | None,
-    altitude_m: float,
+    altitude_m: float | None,
+    depth_m: float | None,
+    above_bottom_m: float | None,
     hold_s: int,
+    tolerance_m: float,
+    spacing_m: float | None,
     max_items: int | None,
+    scoremap_path: Path | None,
+    frame: Literal["utm", "enu"],
+    datum: tuple[float, float] | None,
     existing: Existing,
     console: Console,
 ) -> None:
     """Write a plan as a mission that an autopilot opens.
 
-    PLAN is the output of `hrt plan`. Formats: QGroundControl .plan, QGC WPL 110 waypoints, GPX 1.1, GeoJSON.
+    PLAN is the output of `hrt plan`; that of a team gives a mission for each robot. Formats: QGroundControl .plan,
+    QGC WPL 110 waypoints, GPX 1.1, GeoJSON.
     """
     from hrt_cli.missions.mission import MissionOptions
-    from hrt_cli.missions.stage import export_file
+    from hrt_cli.missions.stage import export_missions
 
-    mission = MissionOptions(
+    if [altitude_m, depth_m, above_bottom_m].count(None) < 2:
+        raise click.UsageError("--altitude, --depth and --above-bottom say the same in three ways: give one")
+    options = MissionOptions(
         name=plan.stem,
         vehicle=vehicle,
         firmware=firmware,
         speed_m_s=speed_m_s,
-        altitude_m=altitude_m,
+        altitude_m=-depth_m if depth_m is not None else altitude_m or 0.0,
+        above_bottom_m=above_bottom_m,
         hold_s=hold_s,
+        tolerance_m=tolerance_m,
+        spacing_m=spacing_m,
         max_items=max_items,
+        frame=frame,
+        datum=datum,
     )
-    done = export_file(plan, output, mission, format_name=format_name, existing=existing)
-    state = "up to date" if done.up_to_date else "written"
-    console.result(
-        f"{output}: {done.format} mission of {done.waypoints} waypoints, {done.length_m:.0f} m ({state})",
-        {"output": str(output), **asdict(done)},
+    done = export_missions(
+        plan, output, options, format_name=format_name, scoremap_path=scoremap_path, existing=existing
     )
+    for note in done.notes:
+        console.note(f"Note: {note}")
+    missions = [asdict(each) | {"output": str(each.output)} for each in done.missions]
+    lines = [
+        f"{each.output}: {done.format} mission of {each.waypoints} waypoints, {each.length_m:.0f} m "
+        f"({'up to date' if each.up_to_date else 'written'})"
+        for each in done.missions
+    ]
+    alone = missions[0] if len(missions) == 1 else {"output": str(output)}
+    console.result("\n".join(lines), {**alone, "format": done.format, "missions": missions, "notes": done.notes})

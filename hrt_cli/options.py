@@ -80,9 +80,23 @@ class Range(click.ParamType):  # type: ignore[type-arg]
             return value
         parts = str(value).split(",")
         if len(parts) != 2:
-            self.fail(f"{value!r} is not of the form LOW,HIGH", param, ctx)
+            self.fail(f"{value!r} is not of the form {self.name}", param, ctx)
         low, high = (FiniteFloat().convert(part, param, ctx) for part in parts)
         return low, high
+
+
+class LonLat(Range):
+    """A place written `LON,LAT`, in degrees."""
+
+    name = "LON,LAT"
+
+    def convert(  # noqa: D102
+        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
+    ) -> tuple[float, float]:
+        lon, lat = super().convert(value, param, ctx)
+        if not (-180 <= lon <= 180 and -90 <= lat <= 90):
+            self.fail(f"{value!r} is no longitude and latitude", param, ctx)
+        return lon, lat
 
 
 class Size(click.ParamType):  # type: ignore[type-arg]

@@ -163,3 +163,8 @@ def team_members(path: Path) -> list[Path]:
     if not isinstance(found, dict) or found.get("format") != "hrt-team-plan":
         return []
     return [path.with_name(member.plan) for member in read_model(path, TeamPlanDocument).robots]
+
+
+def robot_path(team_path: Path, robot: int) -> Path:
+    """Return where what belongs to one robot of a team stands: `plan-1.json` beside `plan.json`."""
+    return team_path.with_name(f"{team_path.stem}-{robot + 1}{team_path.suffix}")

@@ -41,14 +41,16 @@ def _path_properties(mission: Mission) -> dict[str, Any]:
         "budget_unit": plan.budget.unit,
         "cell_size_m": plan.grid.cell_size_m,
         "steps": plan.steps,
-        "waypoints": len(plan.waypoints),
+        "waypoints": len(mission.stops),
         "score": plan.score,
         "discounted_score": plan.discounted_score,
         "upper_bound": plan.upper_bound,
         "gap": plan.gap,
-        "length_m": plan.length_m,
+        "length_m": mission.length_m,
         "vehicle": mission.options.vehicle,
-        "altitude_m": mission.options.altitude_m,
+        "altitude_m": None if mission.options.above_bottom_m is not None else mission.options.altitude_m,
+        "above_bottom_m": mission.options.above_bottom_m,
+        "tolerance_m": mission.options.tolerance_m,
         "speed_m_s": mission.speed_m_s,
         "time_s": mission.time_s,
     }
@@ -56,16 +58,11 @@ def _path_properties(mission: Mission) -> dict[str, Any]:
 
 def _waypoint_features(mission: Mission) -> list[dict[str, Any]]:
     features = []
-    for waypoint, point in zip(mission.plan.waypoints, mission.points, strict=True):
-        row, col = waypoint.cell
-        properties = {
-            "kind": "waypoint",
-            "index": waypoint.index,
-            "step": waypoint.step,
-            "row": row,
-            "col": col,
-            "altitude_m": point.alt_m,
-        }
+    bottom = mission.options.above_bottom_m is not None
+    for index, (point, step, cell) in enumerate(mission.stops):
+        row, col = (None, None) if cell is None else cell
+        properties = {"kind": "waypoint", "index": index, "step": step, "row": row, "col": col}
+        properties |= {"above_bottom_m" if bottom else "altitude_m": point.alt_m}
         geometry = {"type": "Point", "coordinates": _lonlat(point.lon_deg, point.lat_deg)}
         features.append(_feature(geometry, properties))
     return features

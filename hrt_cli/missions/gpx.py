@@ -17,7 +17,7 @@ _NAME_DIGITS = 3
 
 def to_text(mission: Mission) -> str:
     """Write a mission as a GPX 1.1 route of points WP001, WP002, ... in ASCII (the rest as references)."""
-    digits = max(_NAME_DIGITS, len(str(len(mission.points))))
+    digits = max(_NAME_DIGITS, len(str(len(mission.stops))))
     lines = [
         '<?xml version="1.0" encoding="UTF-8"?>',
         f'<gpx xmlns="{NAMESPACE}" version="1.1" creator="hrt">',
@@ -29,14 +29,13 @@ def to_text(mission: Mission) -> str:
         f"    <name>{escape(mission.name)}</name>",
         f"    <desc>{escape(mission.description)}</desc>",
     ]
-    for waypoint, point in zip(mission.plan.waypoints, mission.points, strict=True):
-        lat = fixed(point.lat_deg, _DEGREE_DECIMALS)
-        lon = fixed(rounded_longitude(point.lon_deg, _DEGREE_DECIMALS), _DEGREE_DECIMALS)
-        row, col = waypoint.cell
+    for number, stop in enumerate(mission.stops, start=1):
+        lat = fixed(stop.position.lat_deg, _DEGREE_DECIMALS)
+        lon = fixed(rounded_longitude(stop.position.lon_deg, _DEGREE_DECIMALS), _DEGREE_DECIMALS)
         lines += [
             f'    <rtept lat="{lat}" lon="{lon}">',
-            f"      <name>WP{waypoint.index + 1:0{digits}d}</name>",
-            f"      <desc>step {waypoint.step}, row {row}, col {col}</desc>",
+            f"      <name>WP{number:0{digits}d}</name>",
+            f"      <desc>{stop.place}</desc>",
             "    </rtept>",
         ]
     lines += ["  </rte>", "</gpx>"]

@@ -7,8 +7,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from hrt_cli.errors import ArgumentError
-from hrt_cli.missions.mission import Firmware, Mission, Position, Vehicle
+from hrt_cli.missions.mission import Firmware, Mission, MissionOptions, Position, Vehicle
 
 CMD_NAV_WAYPOINT = 16
 CMD_DO_CHANGE_SPEED = 178
@@ -16,6 +15,7 @@ CMD_DO_CHANGE_SPEED = 178
 FRAME_GLOBAL = 0
 FRAME_MISSION = 2
 FRAME_GLOBAL_RELATIVE_ALT = 3
+FRAME_GLOBAL_TERRAIN_ALT = 10
 
 MAV_TYPE: dict[Vehicle, int] = {"rover": 10, "boat": 11, "submarine": 12}
 MAV_AUTOPILOT: dict[Firmware, int] = {"ardupilot": 3, "px4": 12}
@@ -27,6 +27,7 @@ DEGREE_DECIMALS = 8  # 1.1 mm; MAVLink itself carries 7 decimals
 
 _GROUND_SPEED = 1.0
 _THROTTLE_UNCHANGED = -1.0
+_BEFORE_WAYPOINTS = 2
 
 
 class Item(NamedTuple):
@@ -39,30 +40,22 @@ class Item(NamedTuple):
 
 
 def mission_items(mission: Mission) -> list[Item]:
-    """Return the items after home: the speed, then every waypoint.
-
-    Raises
-    ------
-    ArgumentError
-        The autopilot does not store that many items.
-    """
-    _require_room(mission)
+    """Return the items after home: the speed, then every waypoint."""
     options = mission.options
+    frame = FRAME_GLOBAL_RELATIVE_ALT if options.above_bottom_m is None else FRAME_GLOBAL_TERRAIN_ALT
     speed = (_GROUND_SPEED, mission.speed_m_s, _THROTTLE_UNCHANGED, 0.0)
     waypoint = (float(options.hold_s), options.waypoint_radius_m, 0.0, None)
     return [
         Item(FRAME_MISSION, CMD_DO_CHANGE_SPEED, speed, None),
-        *(Item(FRAME_GLOBAL_RELATIVE_ALT, CMD_NAV_WAYPOINT, waypoint, point) for point in mission.points),
+        *(Item(frame, CMD_NAV_WAYPOINT, waypoint, point) for point in mission.points),
     ]
 
 
-def _require_room(mission: Mission) -> None:
-    options = mission.options
-    limit = ITEM_LIMIT[options.firmware] if options.max_items is None else options.max_items
-    count = len(mission.points) + 2
-    if count > limit:
-        raise ArgumentError(
-            f"mission has {count} items (home, speed and {len(mission.points)} waypoints), more than the"
-            f" {limit} that the autopilot ({options.firmware}) stores; plan on a coarser scoremap (--cell) or"
-            f" with a smaller --budget, or raise the limit if the board stores more"
-        )
+def item_limit(options: MissionOptions) -> int:
+    """Return how many items the autopilot stores, home included."""
+    return ITEM_LIMIT[options.firmware] if options.max_items is None else options.max_items
+
+
+def item_count(mission: Mission) -> int:
+    """Return how many items a mission has: home, the speed and the waypoints."""
+    return len(mission.stops) + _BEFORE_WAYPOINTS

@@ -10,20 +10,22 @@ from __future__ import annotations
 import json
 from typing import Any
 
-from hrt_cli.missions.mavlink import DEGREE_DECIMALS, MAV_AUTOPILOT, MAV_TYPE, Item, mission_items
+from hrt_cli.missions.mavlink import (
+    DEGREE_DECIMALS,
+    FRAME_GLOBAL_TERRAIN_ALT,
+    MAV_AUTOPILOT,
+    MAV_TYPE,
+    Item,
+    mission_items,
+)
 from hrt_cli.missions.mission import Mission, Position, rounded
 
 _ALTITUDE_RELATIVE = 1
+_ALTITUDE_TERRAIN = 4
 
 
 def to_text(mission: Mission) -> str:
-    """Write a mission as a QGroundControl plan.
-
-    Raises
-    ------
-    ArgumentError
-        The autopilot does not store that many items.
-    """
+    """Write a mission as a QGroundControl plan."""
     document = {
         "fileType": "Plan",
         "version": 1,
@@ -34,7 +36,9 @@ def to_text(mission: Mission) -> str:
             "vehicleType": MAV_TYPE[mission.options.vehicle],
             "cruiseSpeed": mission.speed_m_s,
             "hoverSpeed": mission.speed_m_s,
-            "globalPlanAltitudeMode": _ALTITUDE_RELATIVE,
+            "globalPlanAltitudeMode": _ALTITUDE_RELATIVE
+            if mission.options.above_bottom_m is None
+            else _ALTITUDE_TERRAIN,
             "plannedHomePosition": _place(mission.home),
             "items": [_item(index, item) for index, item in enumerate(mission_items(mission), start=1)],
         },
@@ -55,7 +59,7 @@ def _item(index: int, item: Item) -> dict[str, Any]:
     }
     if item.position is not None:
         simple |= {
-            "AltitudeMode": _ALTITUDE_RELATIVE,
+            "AltitudeMode": _ALTITUDE_TERRAIN if item.frame == FRAME_GLOBAL_TERRAIN_ALT else _ALTITUDE_RELATIVE,
             "Altitude": rounded(item.position.alt_m, DEGREE_DECIMALS),
             "AMSLAltAboveTerrain": None,
         }

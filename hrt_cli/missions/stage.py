@@ -1,69 +1,159 @@
-"""The export stage: a plan becomes a mission file."""
+"""The export stage: a plan becomes a mission file, or a folder of them; the plan of a team one for each robot."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 
-from hrt_cli.artifacts.plan import read_plan
-from hrt_cli.artifacts.publish import check_target, publishing
+import numpy as np
+from affine import Affine
+from rasterio.crs import CRS
+
+from hrt_cli.artifacts.plan import PlanDocument, read_plan, robot_path, team_members
+from hrt_cli.artifacts.publish import check_target, publishing, publishing_folder
 from hrt_cli.artifacts.stage import REFUSE, Existing, freshen
 from hrt_cli.errors import ArgumentError, InputError, OutputError
-from hrt_cli.missions.formats import export_text, format_for
-from hrt_cli.missions.mission import MissionOptions
+from hrt_cli.missions.formats import Format, format_for, require_room
+from hrt_cli.missions.mission import Mission, MissionOptions, mission_of
+from hrt_cli.missions.simplify import Bools
+from hrt_cli.raster.grid import Grid, require_same_grid
+from hrt_cli.raster.scoremap import Scoremap, read_scoremap
+
+Content = bytes | dict[str, bytes]
+"""A file, or the files of a folder by name."""
+
+
+@dataclass(frozen=True)
+class Exported:
+    """One mission: where it was written, and what it is."""
+
+    output: Path
+    up_to_date: bool
+    waypoints: int
+    length_m: float
+    time_s: float
+    shortest_leg_m: float
 
 
 @dataclass(frozen=True)
 class Export:
-    """What the export stage wrote: the format, the number of waypoints, and whether the file was already so."""
+    """What the export stage wrote: the format, the missions (one for each robot), and what the user ought to know."""
 
-    up_to_date: bool
     format: str
-    waypoints: int
-    length_m: float
+    missions: list[Exported]
+    notes: list[str] = field(default_factory=list)
 
 
-def export_file(
+def export_missions(
     plan_path: Path,
     output: Path,
     options: MissionOptions,
     *,
     format_name: str | None = None,
+    scoremap_path: Path | None = None,
     existing: Existing = REFUSE,
 ) -> Export:
-    """Write the plan in `plan_path` as a mission.
+    """Write the plan in `plan_path` as a mission, that of a team as one for each robot (`mission-1.plan`, ...).
 
     Mission formats have no room for provenance, so the rule of the caching reads: a file with these very bytes is up
-    to date, any other is refused unless it may be overwritten.
+    to date, any other is refused unless it may be overwritten. All missions are made before the first is written.
 
     Raises
     ------
     InputError
-        The plan cannot be used.
+        A plan or the scoremap cannot be used, or does not fit the other.
     ArgumentError
         The format is not known.
     OutputError
-        The output exists and differs, or cannot be written.
+        An output exists and differs, or cannot be written.
     """
     target = format_for(output, format_name)
-    check_target(output, [plan_path])
-    plan = read_plan(plan_path)
-    try:
-        content = export_text(plan, options, target).encode("utf-8")
-    except ArgumentError as error:
-        raise InputError(plan_path, str(error)) from error
-    summary = (target.name, len(plan.waypoints), plan.length_m)
-    if output.exists() and not existing.force:
-        if output.read_bytes() == content:
-            freshen([output], [plan_path])
-            return Export(True, *summary)
-        if not existing.overwrite:
-            raise OutputError(f"{output}: exists and differs; use --overwrite to replace it")
+    plan_paths = team_members(plan_path) or [plan_path]
+    outputs = [output] if plan_paths == [plan_path] else [robot_path(output, k) for k in range(len(plan_paths))]
+    inputs = [plan_path, *plan_paths, *([scoremap_path] if scoremap_path else [])]
+    for path in outputs:
+        if not (target.is_folder(path) and path.is_dir()):
+            check_target(path, inputs)
+    scoremap = read_scoremap(scoremap_path) if scoremap_path else None
+    made: list[tuple[Path, Mission, Content]] = []
+    for path, robot_output in zip(plan_paths, outputs, strict=True):
+        plan = read_plan(path)
+        go = None if scoremap is None or scoremap_path is None else _open_cells(path, plan, scoremap_path, scoremap)
+        try:
+            mission = mission_of(plan, options, go)
+            if target.stored:
+                require_room(mission, go)
+            made.append((robot_output, mission, target.content(robot_output, mission, scoremap)))
+        except ArgumentError as error:
+            raise InputError(path, str(error)) from error
+    current = [_is_current(path, content, existing) for path, _, content in made]
+    missions = []
+    for (path, mission, content), up_to_date in zip(made, current, strict=True):
+        if up_to_date:
+            freshen([path], inputs)
+        else:
+            _publish(path, content)
+        missions.append(
+            Exported(
+                path, up_to_date, len(mission.stops), mission.length_m, mission.time_s, min(mission.legs_m, default=0.0)
+            )
+        )
+    return Export(target.name, missions, _notes(target, [mission for _, mission, _ in made], scoremap))
 
+
+def _open_cells(path: Path, plan: PlanDocument, scoremap_path: Path, scoremap: Scoremap) -> Bools:
+    """Return which cells of a plan's scoremap may be entered.
+
+    Raises
+    ------
+    InputError
+        The scoremap has another grid, or the plan enters a cell that is no-go on it.
+    """
+    grid = plan.grid
+    crs = None if grid.crs is None else CRS.from_user_input(grid.crs)
+    require_same_grid(path, Grid(grid.rows, grid.cols, Affine(*grid.transform), crs), scoremap_path, scoremap.grid)
+    go = np.isfinite(scoremap.score)
+    for row, col in plan.cells:
+        if not go[row, col]:
+            raise InputError(path, f"enters cell {row},{col}, which is no-go on {scoremap_path}", "plan again on it")
+    for row, col in plan.blocked:
+        go[row, col] = False
+    return go
+
+
+def _is_current(path: Path, content: Content, existing: Existing) -> bool:
+    """Say whether an output holds these very bytes already; refuse to replace others unasked."""
+    if not path.exists() or existing.force:
+        return False
+    if _read(path) == content:
+        return True
+    if not existing.overwrite:
+        raise OutputError(f"{path}: exists and differs; use --overwrite to replace it")
+    return False
+
+
+def _read(path: Path) -> Content:
+    if not path.is_dir():
+        return path.read_bytes()
+    return {each.name: each.read_bytes() if each.is_file() else b"" for each in path.iterdir()}
+
+
+def _publish(path: Path, content: Content) -> None:
     def check(draft: Path) -> None:
-        if draft.read_bytes() != content:
-            raise OutputError(f"{output}: did not read back as it was written (is the disk full?)")
+        if _read(draft) != content:
+            raise OutputError(f"{path}: did not read back as it was written (is the disk full?)")
 
-    with publishing(output, check) as draft:
-        draft.write_bytes(content)
-    return Export(False, *summary)
+    if isinstance(content, bytes):
+        with publishing(path, check) as draft:
+            draft.write_bytes(content)
+        return
+    if path.exists() and not path.is_dir():
+        raise OutputError(f"{path}: is a file; give the name of a folder")
+    with publishing_folder(path, check) as draft:
+        for name, each in content.items():
+            (draft / name).write_bytes(each)
+
+
+def _notes(target: Format, missions: Sequence[Mission], scoremap: Scoremap | None) -> list[str]:
+    return []

@@ -16,13 +16,7 @@ _METRE_DECIMALS = 6
 
 
 def to_text(mission: Mission) -> str:
-    """Write a mission as QGC WPL 110 (parameters the autopilot may choose are 0).
-
-    Raises
-    ------
-    ArgumentError
-        The autopilot does not store that many items.
-    """
+    """Write a mission as QGC WPL 110 (parameters the autopilot may choose are 0)."""
     home = Item(FRAME_GLOBAL, CMD_NAV_WAYPOINT, (0.0, 0.0, 0.0, None), mission.home)
     rows = [_row(index, item) for index, item in enumerate([home, *mission_items(mission)])]
     return "\n".join([HEADER, *rows]) + "\n"

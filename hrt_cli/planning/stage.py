@@ -51,11 +51,6 @@ class Planned:
     notes: list[str]
 
 
-def robot_path(output: Path, robot: int) -> Path:
-    """Return where the plan of one robot of a team stands: `plan-1.json` beside `plan.json`."""
-    return output.with_name(f"{output.stem}-{robot + 1}{output.suffix}")
-
-
 def plan_file(
     scoremap_path: Path,
     output: Path,
@@ -86,7 +81,7 @@ def plan_file(
     inputs = {"scoremap": scoremap_path}
     inputs |= {f"policy/{index}": path for index, path in enumerate(policy_paths)}
     inputs |= {f"visited/{index}": path for index, path in enumerate(visited)}
-    files = [output] if request.robots == 1 else [robot_path(output, robot) for robot in range(request.robots)]
+    files = [output] if request.robots == 1 else [artifact.robot_path(output, robot) for robot in range(request.robots)]
     job = begin(
         STAGE,
         STAGE_VERSION,

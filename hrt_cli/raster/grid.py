@@ -150,9 +150,7 @@ class Grid:
         row, col = np.asarray(rows, np.float64), np.asarray(cols, np.float64)
         if self.crs is None:
             return np.asarray(np.hypot(np.diff(row), np.diff(col)))
-        lon, lat = self.lonlat(*self.xy(row, col))
-        east, north = metres_per_degree((lat[1:] + lat[:-1]) / 2)
-        return np.asarray(np.hypot(_wrapped(np.diff(lon)) * east, np.diff(lat) * north))
+        return lonlat_length_m(*self.lonlat(*self.xy(row, col)))
 
     def steps_towards(self, rows: ArrayLike, cols: ArrayLike, heading_deg: ArrayLike) -> tuple[Floats, Floats]:
         """Pixels (along rows, along columns) that one metre of ground takes from positions [n] in a heading.
@@ -293,6 +291,13 @@ def transform_points(source: CRS, target: CRS, x: ArrayLike, y: ArrayLike) -> tu
 def _wrapped(degrees: Floats) -> Floats:
     """Differences of longitude across the antimeridian, as the short way round."""
     return np.asarray((degrees + 180.0) % 360.0 - 180.0)
+
+
+def lonlat_length_m(lon_deg: ArrayLike, lat_deg: ArrayLike) -> Floats:
+    """Ground metres [n - 1] of each leg of a path of WGS 84 positions [n], for legs of up to a few kilometres."""
+    lon, lat = np.asarray(lon_deg, np.float64), np.asarray(lat_deg, np.float64)
+    east, north = metres_per_degree((lat[1:] + lat[:-1]) / 2)
+    return np.asarray(np.hypot(_wrapped(np.diff(lon)) * east, np.diff(lat) * north))
 
 
 def metres_per_degree(lat_deg: Floats) -> tuple[Floats, Floats]:

@@ -14,7 +14,7 @@ from pyproj import Geod
 from hrt_cli.drivability.stage import make_scoremap
 from hrt_cli.errors import InputError
 from hrt_cli.missions.mission import MissionOptions
-from hrt_cli.missions.stage import export_file
+from hrt_cli.missions.stage import export_missions
 from hrt_cli.planning.request import PlanRequest, parse_budget, parse_start
 from hrt_cli.planning.stage import plan_file
 from hrt_cli.texture.segment import SegmentSpec
@@ -67,7 +67,7 @@ def test_a_metre_is_a_metre(kind: str, tmp_path: Path) -> None:
     assert plan["length_m"] == pytest.approx(legs_m.sum(), rel=1e-3)
     assert plan["steps"] == BUDGET
     for suffix in ("plan", "waypoints", "gpx", "geojson"):
-        export_file(path, tmp_path / f"m.{suffix}", MissionOptions())
+        export_missions(path, tmp_path / f"m.{suffix}", MissionOptions())
 
 
 def test_a_placeholder_georeference_gives_no_mission(tmp_path: Path) -> None:
@@ -75,5 +75,5 @@ def test_a_placeholder_georeference_gives_no_mission(tmp_path: Path) -> None:
     plan = plan_on(ortho, tmp_path)
     assert json.loads(plan.read_text())["grid"]["georeference"] == "fake"
     with pytest.raises(InputError, match="placeholder"):
-        export_file(plan, tmp_path / "m.plan", MissionOptions())
+        export_missions(plan, tmp_path / "m.plan", MissionOptions())
     assert not (tmp_path / "m.plan").exists()

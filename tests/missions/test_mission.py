@@ -127,8 +127,8 @@ def _too_fast(members: dict[str, Any]) -> None:
 
 
 def _endless(members: dict[str, Any]) -> None:
-    members["time_s"] = 1.7e308
-    members["speed_m_s"] = 40.0
+    members["length_m"] = 1.7e308
+    members["speed_m_s"] = 0.01
 
 
 @pytest.mark.parametrize(

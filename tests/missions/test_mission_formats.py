@@ -24,8 +24,8 @@ from pymavlink import mavwp
 
 from hrt_cli.artifacts.plan import PlanDocument
 from hrt_cli.errors import ArgumentError
-from hrt_cli.missions.formats import FORMATS, export_text, format_for
-from hrt_cli.missions.mission import MissionOptions
+from hrt_cli.missions.formats import FORMATS, format_for
+from hrt_cli.missions.mission import MissionOptions, mission_of
 
 HERE = Path(__file__).parent
 XSD = etree.XMLSchema(etree.parse(HERE / "gpx_route.xsd"))
@@ -89,15 +89,15 @@ def test_every_format_puts_every_waypoint_on_its_cell(
 ) -> None:
     folder = tmp_path_factory.getbasetemp()
     for name, entry in FORMATS.items():
-        text = export_text(plan, MissionOptions(), entry)
+        text = entry.write(mission_of(plan, MissionOptions()))
         assert_at_cells(plan, read_positions(name, text, folder), waypoint_cells(plan))
 
 
 @pytest.mark.parametrize("name", FORMATS)
 def test_text_is_plain_final_and_the_same_each_time(name: str) -> None:
     options = MissionOptions(name="Nord-Süd")
-    text = export_text(sample_plan(SQUARE), options, FORMATS[name])
-    assert text == export_text(sample_plan(SQUARE), options, FORMATS[name])
+    text = FORMATS[name].write(mission_of(sample_plan(SQUARE), options))
+    assert text == FORMATS[name].write(mission_of(sample_plan(SQUARE), options))
     assert text.isascii()
     assert text.endswith("\n")
     assert not text.endswith("\n\n")
@@ -108,7 +108,7 @@ def test_text_is_plain_final_and_the_same_each_time(name: str) -> None:
 @pytest.mark.parametrize("georeference", ["none", "fake"])
 def test_no_format_takes_a_plan_without_real_coordinates(name: str, georeference: str) -> None:
     with pytest.raises(ArgumentError, match="georeference"):
-        export_text(ungeoreferenced_plan(georeference), MissionOptions(), FORMATS[name])
+        FORMATS[name].write(mission_of(ungeoreferenced_plan(georeference), MissionOptions()))
 
 
 @pytest.mark.parametrize(

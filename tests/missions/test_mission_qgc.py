@@ -21,6 +21,7 @@ from mission_samples import (
 from hrt_cli.artifacts.plan import PlanDocument
 from hrt_cli.errors import ArgumentError
 from hrt_cli.missions import qgc
+from hrt_cli.missions.formats import require_room
 from hrt_cli.missions.mission import MissionOptions, mission_of
 
 SCHEMA = json.loads((Path(__file__).parent / "qgc_plan.schema.json").read_text())
@@ -28,7 +29,9 @@ VALIDATOR = jsonschema.Draft202012Validator(SCHEMA)
 
 
 def written(plan: PlanDocument, **options: Any) -> dict[str, Any]:
-    text = qgc.to_text(mission_of(plan, MissionOptions(**options)))
+    mission = mission_of(plan, MissionOptions(**options))
+    require_room(mission, None)
+    text = qgc.to_text(mission)
     assert text.endswith("}\n")
     assert text.isascii()
     document: dict[str, Any] = json.loads(text)

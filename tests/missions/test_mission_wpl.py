@@ -19,11 +19,14 @@ from pymavlink import mavwp
 from hrt_cli.artifacts.plan import PlanDocument
 from hrt_cli.errors import ArgumentError
 from hrt_cli.missions import wpl
+from hrt_cli.missions.formats import require_room
 from hrt_cli.missions.mission import MissionOptions, mission_of
 
 
 def text_of(plan: PlanDocument, **options: Any) -> str:
-    return wpl.to_text(mission_of(plan, MissionOptions(**options)))
+    mission = mission_of(plan, MissionOptions(**options))
+    require_room(mission, None)
+    return wpl.to_text(mission)
 
 
 def loaded(text: str, folder: Path) -> list[Any]:
