@@ -49,7 +49,14 @@ Example:
     "--margin",
     "margin_m",
     type=opt.FiniteFloat(0),
-    help="With --no-go-below: no-go are also cells so near to such cells, m; the borders of classes are not sharp.",
+    help="No-go are also cells so near, m, to those of --no-go-below, as the borders of classes are not sharp, to a "
+    "--keep-out and to the edge of the --aoi.",
+)
+@click.option(
+    "--aoi", type=opt.PATH, help="No-go are cells not wholly inside the polygons of this GeoJSON or KML file."
+)
+@click.option(
+    "--keep-out", type=opt.PATH, multiple=True, help="No-go are cells that its polygons touch. May be repeated."
 )
 @click.option("--interest", "interest_path", type=opt.PATH, help="Raster of what the mission looks for, as heat.")
 @click.option(
@@ -78,6 +85,8 @@ def scoremap(
     no_go_below: float | None,
     no_go_share: float | None,
     margin_m: float | None,
+    aoi: Path | None,
+    keep_out: tuple[Path, ...],
     interest_path: Path | None,
     interest_range: tuple[float, float] | None,
     interest_cell: Literal["max", "mean"] | None,
@@ -96,16 +105,21 @@ def scoremap(
 
     With --interest the score is drivability times interest: nothing is gained where nothing is to be found, and
     where the robot may go is decided by drivability alone. Any raster of one band will do, whatever its grid.
+
+    With --aoi and --keep-out no walk over the map's cells leaves the area of interest or enters a keep-out.
     """
     if interest_path is None and (interest_range, interest_cell, interest_weight) != (None, None, None):
         raise click.UsageError("--interest-range, --interest-cell and --interest-weight are for --interest: give one")
     from hrt_cli.drivability.interest import Interest
+    from hrt_cli.drivability.limits import Limits
     from hrt_cli.drivability.stage import make_scoremap
 
     if no_go_share is not None and no_go_below is None:
         raise click.UsageError("--no-go-share says how much of a cell --no-go-below may hold for: give both")
-    if margin_m is not None and no_go_below is None:
-        raise click.UsageError("--margin keeps away from what --no-go-below bars: give both")
+    if margin_m is not None and no_go_below is None and aoi is None and not keep_out:
+        raise click.UsageError(
+            "--margin keeps away from what --no-go-below, --keep-out or --aoi bars: give one of these"
+        )
     interest = None
     if interest_path is not None:
         weight = 1.0 if interest_weight is None else interest_weight
@@ -121,6 +135,7 @@ def scoremap(
             no_go_below=no_go_below,
             no_go_share=1.0 if no_go_share is None else no_go_share,
             margin_m=margin_m or 0.0,
+            limits=Limits(aoi, keep_out),
             interest=interest,
             creation=dict(creation),
             existing=existing,
@@ -141,7 +156,16 @@ def scoremap(
             f"Note: {interest_path}: {low:g} counts 0 and {high:g} counts 1, the median and the maximum of the cells "
             "to go; --interest-range sets others"
         )
+    for note in done.limit_notes:
+        console.note(f"Note: {note}")
     data = {"output": str(output), **asdict(done)}
+    data["notes"] = data.pop("limit_notes")
+    of_limits = ""
+    for name, what in (("aoi_cells", "outside the area of interest"), ("keep_out_cells", "kept out of")):
+        if data[name] is None:
+            del data[name]
+        else:
+            of_limits += f"{data[name]} {what}, "
     of_interest = ""
     if done.interest_range is None:
         del data["interest_range"], data["interest_cells"]
@@ -149,7 +173,7 @@ def scoremap(
         of_interest = f"{done.interest_cells} of interest, "
     state = "up to date" if done.up_to_date else f"{done.seconds:.1f} s"
     console.result(
-        f"{output}: {done.rows} x {done.cols} cells of {done.cell_size_m:g} m, {done.go_cells} to go, {of_interest}"
-        f"mean score {done.mean_score:.3f} ({state})",
+        f"{output}: {done.rows} x {done.cols} cells of {done.cell_size_m:g} m, {done.go_cells} to go, {of_limits}"
+        f"{of_interest}mean score {done.mean_score:.3f} ({state})",
         data,
     )

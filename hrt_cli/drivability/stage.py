@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +14,7 @@ from hrt_cli.artifacts.scores import PRIOR, ClassScore, read_scores
 from hrt_cli.artifacts.stage import REFUSE, Existing, begin
 from hrt_cli.drivability.cells import Cover, cover, score_cells
 from hrt_cli.drivability.interest import Interest, degree, open_interest, values_on, weighed
+from hrt_cli.drivability.limits import NO_LIMITS, Limits, place_limits, taken_by
 from hrt_cli.errors import InputError
 from hrt_cli.progress import Progress, silent
 from hrt_cli.raster.classes import open_classes
@@ -46,6 +47,10 @@ class ScoremapSummary:
         The values of the raster of interest that count 0 and 1, if there is one.
     interest_cells : int or None
         Cells that may be entered and are of interest.
+    aoi_cells, keep_out_cells : int or None
+        Cells that may not be entered only for the area of interest, and of the others those only for the keep-outs.
+    limit_notes : list of str
+        What the user ought to know of the files of either.
     """
 
     up_to_date: bool
@@ -58,6 +63,9 @@ class ScoremapSummary:
     seconds: float
     interest_range: tuple[float, float] | None = None
     interest_cells: int | None = None
+    aoi_cells: int | None = None
+    keep_out_cells: int | None = None
+    limit_notes: list[str] = field(default_factory=list)
 
 
 def make_scoremap(
@@ -71,6 +79,7 @@ def make_scoremap(
     no_go_below: float | None = None,
     no_go_share: float = 1.0,
     margin_m: float = 0.0,
+    limits: Limits = NO_LIMITS,
     interest: Interest | None = None,
     creation: dict[str, str] | None = None,
     existing: Existing = REFUSE,
@@ -80,14 +89,15 @@ def make_scoremap(
 
     Without a table every class has the uniform prior. With one, every class of the raster must stand in it, or with
     `unknown_as_prior` has the prior too. No-go are cells that score less than `no_go_below`, those of which more than
-    `no_go_share` is of classes that do, and those within `margin_m` of either. With an `interest` a cell's score is its
-    expected drivability times what it is worth; where the robot may go does not depend on it.
+    `no_go_share` is of classes that do, and those within `margin_m` of either; so are those that `limits` bar, with the
+    same margin. With an `interest` a cell's score is its expected drivability times what it is worth; where the robot
+    may go does not depend on it.
 
     Raises
     ------
     InputError
-        The class raster, the table or the raster of interest cannot be used, a class of the raster is not in the
-        table, or no cell is of interest.
+        The class raster, the table, a limit or the raster of interest cannot be used, a class of the raster is not in
+        the table, no cell may be entered, or none is of interest.
     ArgumentError
         The cell does not fit the raster.
     OutputError
@@ -108,6 +118,7 @@ def make_scoremap(
         parameters["margin_m"] = margin_m
     if unknown_as_prior:
         parameters["unknown_as_prior"] = True
+    inputs |= limits.files()
     if interest:
         inputs |= _files_of(interest)
         parameters["interest"] = interest.parameters
@@ -118,21 +129,24 @@ def make_scoremap(
     unknown: list[int] = []
     if job.up_to_date:
         scoremap = read_scoremap(output)
+        placed = place_limits(limits, scoremap.grid, classes_path)
     else:
         with open_classes(classes_path) as classes:
+            placed = place_limits(limits, classes.grid.coarse(cell_m), classes_path)
             covered = cover(classes.grid, classes.read, cell_m, progress)
         table = _scores_for(covered, scores, classes_path, scores_path, unknown_as_prior)
         unknown = [k for k in covered.classes if k not in scores]
         score, sd = score_cells(covered, table, explore, no_go_below, no_go_share, margin_m)
         if np.isnan(score).all():
             raise InputError(classes_path, "gives no cell that may be entered: all are nodata or below --no-go-below")
-        scoremap = Scoremap(score, sd, covered.grid, cell_m)
-        tags: dict[str, Any] = {}
+        scoremap, tags = placed.bar(Scoremap(score, sd, covered.grid, cell_m), margin_m, classes_path)
         if interest:
-            scoremap, tags = _with_interest(scoremap, interest)
+            scoremap, more = _with_interest(scoremap, interest)
+            tags |= more
         publish_scoremap(output, scoremap, job.provenance, tags=tags, creation=creation)
     go = np.isfinite(scoremap.score)
-    limits, cells = _interest_in(output) if interest else (None, None)
+    interest_range, interest_cells = _interest_in(output) if interest else (None, None)
+    taken = taken_by(limits, output)
     return ScoremapSummary(
         job.up_to_date,
         scoremap.grid.rows,
@@ -142,8 +156,10 @@ def make_scoremap(
         float(scoremap.score[go].mean(dtype=np.float64)),
         unknown,
         time.monotonic() - began,
-        limits,
-        cells,
+        interest_range,
+        interest_cells,
+        **taken,
+        limit_notes=placed.notes,
     )
 
 

@@ -20,7 +20,7 @@ from hrt_cli.raster.mosaic import Layer, Valid, open_layer
 from hrt_cli.raster.windows import Planes, Window, blocks
 
 if TYPE_CHECKING:
-    from hrt_cli.raster.aoi import PixelArea
+    from hrt_cli.raster.pixel_area import PixelArea
 
 _STRETCH_QUANTILES = (0.005, 0.995)
 _PROBE_WINDOWS = 4
@@ -209,7 +209,9 @@ class Image:
         """
         from hrt_cli.raster.aoi import read_aoi
 
-        area = read_aoi(aoi).require_on(self.raster.grid, self.raster.path)
+        drawn = read_aoi(aoi)
+        area = drawn.require_on(self.raster.grid, self.raster.path)
+        self.notes += [f"of the area {aoi}: {note}" for note in drawn.notes]
         bounds = area.bounds
         self.grid = _window_grid(self.raster.grid, bounds)
         self._area, self._aoi, self._origin = area, aoi, (bounds.row, bounds.col)
@@ -301,7 +303,7 @@ def open_orthomosaic(
     unreferenced : bool
         Accept one plain image: lengths are pixels, and the result has no CRS.
     aoi : Path, optional
-        GeoJSON polygons to clip the image to.
+        GeoJSON or KML polygons to clip the image to.
 
     Raises
     ------
