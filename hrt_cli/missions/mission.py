@@ -17,8 +17,9 @@ from rasterio.errors import CRSError
 
 from hrt_cli.artifacts.plan import Cell, PlanDocument
 from hrt_cli.errors import ArgumentError
+from hrt_cli.missions.fence import Fence
 from hrt_cli.missions.local import FrameKind, LocalFrame
-from hrt_cli.missions.simplify import Bools, simplified, visited
+from hrt_cli.missions.simplify import Bools, passed_by, simplified, visited
 from hrt_cli.raster.grid import WGS84, lonlat_length_m, transform_points
 
 Vehicle = Literal["rover", "boat", "submarine"]
@@ -150,6 +151,8 @@ class Mission:
 
     `home` is the plan's start at altitude 0; `stops` are the waypoints, start included; `lonlat` is the whole walk;
     `length_m` is that of the legs between the stops, `time_s` what they take at the mission's speed, with the holds.
+    `passed_by` counts the plan's cells that the robot does not enter, for it drives straight past them within the
+    tolerance. `fence` has no polygons where no areas were given.
     """
 
     plan: PlanDocument
@@ -161,6 +164,8 @@ class Mission:
     speed_m_s: float
     length_m: float
     time_s: float
+    passed_by: int = 0
+    fence: Fence = Fence()
 
     @property
     def points(self) -> tuple[Position, ...]:
@@ -177,13 +182,17 @@ class Mission:
     @cached_property
     def xy(self) -> list[tuple[float, float]]:
         """The waypoints in the local frame, metres."""
-        return self.frame.xy([(point.lon_deg, point.lat_deg) for point in self.points])
+        return self.frame.xy(self.waypoints_lonlat)
+
+    @property
+    def waypoints_lonlat(self) -> list[tuple[float, float]]:
+        """The waypoints as longitude and latitude, degrees."""
+        return [(point.lon_deg, point.lat_deg) for point in self.points]
 
     @cached_property
     def legs_m(self) -> list[float]:
         """The metres of ground from each waypoint to the next."""
-        lons, lats = zip(*((point.lon_deg, point.lat_deg) for point in self.points), strict=True)
-        return [float(leg) for leg in lonlat_length_m(lons, lats)]
+        return [float(leg) for leg in lonlat_length_m(*zip(*self.waypoints_lonlat, strict=True))]
 
     @property
     def description(self) -> str:
@@ -254,6 +263,7 @@ def mission_of(plan: PlanDocument, options: MissionOptions, go: Bools | None = N
         speed_m_s=speed_m_s,
         length_m=length_m,
         time_s=time_s,
+        passed_by=passed_by(plan.cells, steps),
     )
 
 
