@@ -21,6 +21,7 @@ Example:
   hrt scoremap site/classes.tif -o site/scoremap.tif
   hrt plan site/scoremap.tif -o site/plan.json --start auto --budget 200
   hrt export site/plan.json -o site/rover.plan --vehicle rover --speed 1.0
+  hrt export site/plan.json -o site/nav2 --format nav2 --scoremap site/scoremap.tif
 """
 )
 @click.argument("plan", type=opt.PATH)
@@ -28,8 +29,8 @@ Example:
 @click.option(
     "--format",
     "format_name",
-    type=click.Choice(["qgc", "wpl", "gpx", "geojson"]),
-    help="Mission format. Default: by the output's suffix (.plan, .waypoints, .gpx, .geojson).",
+    type=click.Choice(["qgc", "wpl", "gpx", "geojson", "kml", "csv", "nav2", "moos"]),
+    help="Default: by the output's suffix: .plan, .waypoints, .gpx, .geojson, .kml, .csv, .yaml (nav2), .bhv (moos).",
 )
 @click.option(
     "--vehicle",
@@ -125,7 +126,8 @@ def export(
     """Write a plan as a mission that an autopilot opens.
 
     PLAN is the output of `hrt plan`; that of a team gives a mission for each robot. Formats: QGroundControl .plan,
-    QGC WPL 110 waypoints, GPX 1.1, GeoJSON.
+    QGC WPL 110 waypoints, GPX 1.1, GeoJSON, KML 2.2, CSV, Nav2 (a .yaml file, or a folder where the output has no
+    suffix), MOOS-IvP .bhv.
     """
     from hrt_cli.missions.mission import MissionOptions
     from hrt_cli.missions.stage import export_missions

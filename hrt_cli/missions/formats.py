@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from pathlib import PurePath
 
 from hrt_cli.errors import ArgumentError
-from hrt_cli.missions import geojson, gpx, qgc, wpl
+from hrt_cli.missions import geojson, gpx, kml, moos, nav2, points_csv, qgc, wpl
 from hrt_cli.missions.mavlink import item_count, item_limit
 from hrt_cli.missions.mission import Mission, MissionOptions, mission_of
 from hrt_cli.missions.simplify import Bools
@@ -60,6 +60,16 @@ FORMATS: dict[str, Format] = {
         ),
         Format("gpx", (".gpx",), gpx.to_text, "GPX 1.1 route"),
         Format("geojson", (".geojson", ".json"), geojson.to_text, "GeoJSON (RFC 7946) path and waypoints"),
+        Format("kml", (".kml",), kml.to_text, "KML 2.2 path and waypoints"),
+        Format("csv", (".csv",), points_csv.to_text, "CSV table of waypoints"),
+        Format(
+            "nav2",
+            (".yaml", ".yml"),
+            nav2.to_text,
+            "Nav2 GPS waypoints, or a folder with path, route, datum and maps",
+            folder=nav2.to_files,
+        ),
+        Format("moos", (".bhv",), moos.to_text, "MOOS-IvP waypoint behavior"),
     )
 }
 

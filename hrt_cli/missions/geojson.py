@@ -7,20 +7,17 @@ Coordinates are WGS 84 longitude, latitude with 7 decimals (1.1 cm, section 11.2
 from __future__ import annotations
 
 import json
-import math
-from itertools import pairwise
 from typing import Any
 
+from hrt_cli.missions.antimeridian import LonLat, cut_at_180
 from hrt_cli.missions.mission import Mission, rounded, rounded_longitude
 
 _DEGREE_DECIMALS = 7
 
-LonLat = tuple[float, float]
-
 
 def to_text(mission: Mission) -> str:
     """Write a mission as a GeoJSON feature collection, one feature a line: the path, then the waypoints."""
-    parts = _cut_at_180([_lonlat(lon_deg, lat_deg) for lon_deg, lat_deg in mission.lonlat])
+    parts = cut_at_180([_lonlat(lon_deg, lat_deg) for lon_deg, lat_deg in mission.lonlat], _DEGREE_DECIMALS)
     features = [_feature(_path_geometry(parts), _path_properties(mission)), *_waypoint_features(mission)]
     header = f'{{"type": "FeatureCollection", "bbox": {_dumps(_bbox(parts))}, "features": ['
     return header + "\n" + ",\n".join(_dumps(feature) for feature in features) + "\n]}\n"
@@ -75,20 +72,6 @@ def _path_geometry(parts: list[list[LonLat]]) -> dict[str, Any]:
     if len(parts[0]) == 1:
         return {"type": "Point", "coordinates": parts[0][0]}
     return {"type": "LineString", "coordinates": parts[0]}
-
-
-def _cut_at_180(points: list[LonLat]) -> list[list[LonLat]]:
-    """Cut a line where it crosses the meridian 180 (a step of more than half the globe); longitudes < 180."""
-    parts = [[points[0]]]
-    for (lon0, lat0), (lon1, lat1) in pairwise(points):
-        if abs(lon1 - lon0) > 180:
-            side = math.copysign(180.0, lon0)
-            share = (side - lon0) / (lon1 + 2 * side - lon0)
-            lat = rounded(lat0 + share * (lat1 - lat0), _DEGREE_DECIMALS)
-            parts[-1].append((side, lat))
-            parts.append([(-side, lat)])
-        parts[-1].append((lon1, lat1))
-    return parts
 
 
 def _bbox(parts: list[list[LonLat]]) -> list[float]:

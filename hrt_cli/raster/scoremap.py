@@ -14,7 +14,7 @@ from rasterio.enums import ColorInterp
 from hrt_cli.artifacts.carriers import read_stamped_npz
 from hrt_cli.artifacts.provenance import Provenance
 from hrt_cli.errors import InputError
-from hrt_cli.raster.cog import Layout, publishing_cog
+from hrt_cli.raster.cog import Layout, publishing_cog, tagged_provenance
 from hrt_cli.raster.gate import Raster, is_nodata, open_raster
 from hrt_cli.raster.grid import Grid
 from hrt_cli.raster.style import score_qml
@@ -39,12 +39,16 @@ class Scoremap:
         Where the cells lie (no CRS if the scoremap came as NPZ).
     cell_size_m : float
         Side of a cell in metres on the ground.
+    drivability : bool
+        The score tells how drivable a cell is, and nothing else. A file whose provenance says otherwise (its scores are
+        weighed by interest, or raised by what is not known) has False.
     """
 
     score: NDArray[np.float32]
     sd: NDArray[np.float32]
     grid: Grid
     cell_size_m: float
+    drivability: bool = True
 
 
 def read_scoremap(path: Path) -> Scoremap:
@@ -96,6 +100,7 @@ def publish_scoremap(
 def _read_tif(path: Path) -> Scoremap:
     with open_raster(path) as raster:
         grid = raster.grid
+        drivability = _is_drivability(tagged_provenance(raster))
         _check_size(path, grid.rows, grid.cols)
         if np.dtype(raster.dtypes[0]).kind != "f" or raster.count > 2:
             raise InputError(path, "is not a scoremap: it needs a real-valued score band, and at most an sd band")
@@ -110,7 +115,13 @@ def _read_tif(path: Path) -> Scoremap:
             score[~(rest.pop() > 0)] = np.nan
     sd = rest[0] if rest else np.zeros_like(score)
     sd[np.isnan(score)] = np.nan
-    return Scoremap(score, sd, grid, float(np.sqrt(row_m * col_m)))
+    return Scoremap(score, sd, grid, float(np.sqrt(row_m * col_m)), drivability)
+
+
+def _is_drivability(provenance: Provenance | None) -> bool:
+    """Say whether the scores of a scoremap made so tell of drivability alone, as far as is known."""
+    made = {} if provenance is None else provenance.parameters
+    return not (made.get("interest") or made.get("explore"))
 
 
 def _values(raster: Raster, band: int, window: Window) -> NDArray[np.float32]:
@@ -125,7 +136,7 @@ def _values(raster: Raster, band: int, window: Window) -> NDArray[np.float32]:
 
 
 def _read_npz(path: Path) -> Scoremap:
-    arrays, _ = read_stamped_npz(path)
+    arrays, provenance = read_stamped_npz(path)
     unknown = set(arrays) - _NPZ_KEYS
     if unknown or "score" not in arrays:
         wrong = f"unknown array {sorted(unknown)[0]!r}" if unknown else "no array 'score'"
@@ -143,7 +154,7 @@ def _read_npz(path: Path) -> Scoremap:
         raise InputError(path, "cell_size_m is not a positive length in metres")
     cell_m = float(cell.item())
     grid = Grid(score.shape[0], score.shape[1], Affine(cell_m, 0, 0, 0, -cell_m, 0), None)
-    return Scoremap(score, sd, grid, cell_m)
+    return Scoremap(score, sd, grid, cell_m, _is_drivability(provenance))
 
 
 def _plane(path: Path, name: str, array: NDArray[Any], shape: tuple[int, ...] | None) -> NDArray[Any]:
