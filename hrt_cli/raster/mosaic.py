@@ -38,7 +38,8 @@ _SIDE_CARS = (
 _NAMED_AT_MOST = 3
 _BLURRED_ALPHA = 127
 """Alpha up to which a pixel is transparent where compression with loss has blurred the steps from 0 to 255."""
-_UNTEXTURED = np.float32(2**32 - 1)
+
+UNTEXTURED = np.float32(2**32 - 1)
 """What OpenDroneMap writes into all bands of real values where its mesh has no texture (OdmOrthoPhoto.cpp)."""
 
 Colours = NDArray[Any]
@@ -105,7 +106,7 @@ class Single:
         self.alpha: int | None = alphas[-1] if alphas and alphas[-1] not in self.bands else None
         self.dtype = raster.dtypes[self.bands[0] - 1]
         if any(raster.dtypes[band - 1] != self.dtype for band in self.bands):
-            raise InputError(raster.path, "its colour bands are of different types", "convert it with gdal_translate -ot")
+            raise InputError(raster.path, "its colour bands are of different types", "use gdal_translate -ot")
         self._transparent = self._transparent_up_to()
         self.palette = raster.palette
         self.block_shape = raster.block_shape
@@ -299,6 +300,19 @@ def _choose_files(paths: Sequence[Path]) -> _Choice:
 
 
 def _choose_in_folder(folder: Path, choice: _Choice) -> None:
+    tiles, notes = rasters_in(folder)
+    choice.files.extend(tiles)
+    choice.notes.extend(notes)
+
+
+def rasters_in(folder: Path) -> tuple[list[Path], list[str]]:
+    """Return the rasters that a folder of tiles is read as, by name, and notes on what is left out.
+
+    Raises
+    ------
+    InputError
+        The folder holds none, or cannot be read.
+    """
     try:
         inside = sorted(path for path in folder.iterdir() if not path.name.startswith("."))
     except OSError as error:
@@ -315,10 +329,10 @@ def _choose_in_folder(folder: Path, choice: _Choice) -> None:
     stems = {path.stem for path in tiles}
     expected = {*tiles, *(path for path in plain if path.stem in stems)}
     unused = [path.name for path in inside if path not in expected and path.suffix.lower() not in _SIDE_CARS]
-    if unused:
-        more = f" and {len(unused) - _NAMED_AT_MOST} more" if len(unused) > _NAMED_AT_MOST else ""
-        choice.notes.append(f"not used of the folder {folder.name}: {', '.join(unused[:_NAMED_AT_MOST])}{more}")
-    choice.files.extend(tiles)
+    if not unused:
+        return tiles, []
+    more = f" and {len(unused) - _NAMED_AT_MOST} more" if len(unused) > _NAMED_AT_MOST else ""
+    return tiles, [f"not used of the folder {folder.name}: {', '.join(unused[:_NAMED_AT_MOST])}{more}"]
 
 
 def _union(path: Path, paths: list[Path], grids: list[Grid]) -> tuple[Grid, NDArray[np.int64]]:
@@ -379,7 +393,7 @@ def _having_data(colours: Colours, nodata: list[float | None]) -> Valid:
     if real:
         for plane in colours:
             valid &= np.isfinite(plane)
-        valid &= ~(colours == _UNTEXTURED).all(axis=0)
+        valid &= ~(colours == UNTEXTURED).all(axis=0)
     empty = is_nodata(colours[0], nodata[0])
     for plane, value in zip(colours[1:], nodata[1:], strict=True):
         if not empty.any():
