@@ -107,6 +107,10 @@ class Raster:
         Its geometry, found measurable (or pixel coordinates, where it was opened unreferenced).
     count, dtypes, nodata : int, tuple of str, tuple of float or None
         As the file declares them (`nodata` per band; the user's `--nodata` in its place if given).
+    descriptions, units, scales : tuple of str or None, tuple of str or None, tuple of (float, float)
+        What each band is said to hold, in what unit, and by what scale and offset; pixels are read without these.
+    lossy : bool
+        Whether the pixels (of a VRT, those of its first part) are compressed with loss, an alpha band among them.
     notes : list of str
         What the user ought to know though it was no reason to refuse.
     """
@@ -122,6 +126,10 @@ class Raster:
         self.colours: tuple[ColorInterp, ...] = dataset.colorinterp
         self.block_shape: tuple[int, int] = dataset.block_shapes[0]
         self.compression: str = str(dataset.profile.get("compress", "none"))
+        self.descriptions: tuple[str | None, ...] = dataset.descriptions
+        self.units: tuple[str | None, ...] = dataset.units
+        self.scales = tuple(zip(dataset.scales, dataset.offsets, strict=True))
+        self.lossy = _is_lossy(dataset) or any(map(_is_lossy_part, [p for p in parts if p.suffix != ".vrt"][:1]))
         self.overviews: list[int] = dataset.overviews(1)
         self.tags: dict[str, str] = dataset.tags()
         self.hrt_tags: dict[str, str] = dataset.tags(ns="HRT")
@@ -303,6 +311,22 @@ def _palette(dataset: DatasetReader) -> NDArray[np.uint8] | None:
         if index < len(table):
             table[index] = colour[:3]
     return table
+
+
+def _is_lossy(dataset: DatasetReader) -> bool:
+    stored = dataset.tags(ns="IMAGE_STRUCTURE")
+    compression = stored.get("COMPRESSION", "")
+    # WebP keeps an alpha band as it is, whatever it does to the colours.
+    lossy = stored.get("COMPRESSION_REVERSIBILITY") == "LOSSY" and compression != "WEBP"
+    return lossy or "JPEG" in compression
+
+
+def _is_lossy_part(path: Path) -> bool:
+    try:
+        with _open(path) as dataset:
+            return _is_lossy(dataset)
+    except InputError:  # VRTs show files of more kinds than are read by themselves
+        return False
 
 
 def _rio(window: Window) -> RioWindow:

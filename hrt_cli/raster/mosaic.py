@@ -36,6 +36,11 @@ _SIDE_CARS = (
     *(".json", ".geojson", ".gpkg", ".kml", ".kmz", ".shp", ".shx", ".dbf", ".cpg", ".pdf", ".html", ".md", ".md5"),
 )
 _NAMED_AT_MOST = 3
+_BLURRED_ALPHA = 127
+"""Alpha up to which a pixel is transparent where compression with loss has blurred the steps from 0 to 255."""
+
+UNTEXTURED = np.float32(2**32 - 1)
+"""What OpenDroneMap writes into all bands of real values where its mesh has no texture (OdmOrthoPhoto.cpp)."""
 
 Colours = NDArray[Any]
 Valid = NDArray[np.bool_] | None
@@ -49,6 +54,8 @@ class Layer(Protocol):
     ----------
     path : Path
         What messages name.
+    file : Raster
+        The raster, of tiles the first: what its header declares of the bands holds for all.
     grid : Grid
     bands : list of int
         The 1-based bands taken as red, green, blue, or one band taken as grey.
@@ -65,6 +72,7 @@ class Layer(Protocol):
     """
 
     path: Path
+    file: Raster
     grid: Grid
     bands: list[int]
     alpha: int | None
@@ -89,7 +97,7 @@ class Single:
     """One raster as a `Layer`."""
 
     def __init__(self, raster: Raster, bands: tuple[int, ...]) -> None:
-        self._raster = raster
+        self.file = raster
         self.path = raster.path
         self.grid = raster.grid
         self.notes = raster.notes
@@ -97,20 +105,20 @@ class Single:
         alphas = [i + 1 for i, colour in enumerate(raster.colours) if colour == ColorInterp.alpha]
         self.alpha: int | None = alphas[-1] if alphas and alphas[-1] not in self.bands else None
         self.dtype = raster.dtypes[self.bands[0] - 1]
+        if any(raster.dtypes[band - 1] != self.dtype for band in self.bands):
+            raise InputError(raster.path, "its colour bands are of different types", "use gdal_translate -ot")
+        self._transparent = self._transparent_up_to()
         self.palette = raster.palette
         self.block_shape = raster.block_shape
 
     def read(self, window: Window, out: Colours | None = None) -> tuple[Colours, Valid]:
         """See `Layer`."""
-        # The alpha band is read as data: GDAL's own mask calls every pixel of a 16-bit or real ODM file valid.
-        wanted = [*self.bands, self.alpha] if self.alpha else self.bands
-        values = self._raster.read_bands(wanted, window, None if self.alpha else out)
-        colours = values if len(values) == len(self.bands) else values[: len(self.bands)]
-        found = [_having_data(colours, [self._raster.nodata[band - 1] for band in self.bands])]
-        if self.alpha:
-            found.append(values[-1] > 0)
-        elif self._raster.has_mask:
-            found.append(self._raster.read_mask(window))
+        colours, alpha = self._read(window, out)
+        found = [_having_data(colours, [self.file.nodata[band - 1] for band in self.bands])]
+        if alpha is not None:
+            found.append(alpha > self._transparent)
+        elif self.file.has_mask:
+            found.append(self.file.read_mask(window))
         valid: Valid = None
         for one in found:
             valid = one if valid is None else valid if one is None else valid & one
@@ -118,7 +126,24 @@ class Single:
 
     def sources(self) -> dict[str, Path]:
         """See `Layer`."""
-        return self._raster.sources()
+        return self.file.sources()
+
+    def _read(self, window: Window, out: Colours | None) -> tuple[Colours, NDArray[Any] | None]:
+        """Read the colours, and the alpha band as data: GDAL's own mask takes all of a real-valued one for valid."""
+        if self.alpha is None:
+            return self.file.read_bands(self.bands, window, out), None
+        if self.file.dtypes[self.alpha - 1] != self.dtype:  # as only a VRT can have it
+            return self.file.read_bands(self.bands, window, out), self.file.read_bands([self.alpha], window)[0]
+        values = self.file.read_bands([*self.bands, self.alpha], window)
+        return values[: len(self.bands)], values[-1]
+
+    def _transparent_up_to(self) -> int:
+        if self.alpha is None or not self.file.lossy or self.file.dtypes[self.alpha - 1] != "uint8":
+            return 0
+        self.notes.append(
+            f"its alpha band is compressed with loss: pixels count as data where it is more than {_BLURRED_ALPHA}"
+        )
+        return _BLURRED_ALPHA
 
     def require_like(self, other: Single) -> None:
         """Refuse a tile whose pixels do not mean what another's do.
@@ -128,7 +153,7 @@ class Single:
         InputError
             The number, types, meaning or colour table of the bands differ.
         """
-        mine, its = self._raster, other._raster
+        mine, its = self.file, other.file
         beside = f"does not go with {other.path}"
         if mine.count != its.count:
             raise InputError(self.path, f"{beside}: it has {mine.count} bands, not {its.count}")
@@ -165,7 +190,8 @@ class Mosaic:
         self.grid, self._origins = _union(path, [tile.path for tile in tiles], [tile.grid for tile in tiles])
         self._ends = self._origins + np.array([tile.grid.shape for tile in tiles])
         self._tiles = tiles
-        self.bands, self.alpha, self.dtype, self.palette = first.bands, first.alpha, first.dtype, first.palette
+        self.file, self.bands, self.alpha = first.file, first.bands, first.alpha
+        self.dtype, self.palette = first.dtype, first.palette
         self.block_shape = first.block_shape
         self.notes = list(dict.fromkeys(note for tile in tiles for note in tile.notes))
 
@@ -274,6 +300,19 @@ def _choose_files(paths: Sequence[Path]) -> _Choice:
 
 
 def _choose_in_folder(folder: Path, choice: _Choice) -> None:
+    tiles, notes = rasters_in(folder)
+    choice.files.extend(tiles)
+    choice.notes.extend(notes)
+
+
+def rasters_in(folder: Path) -> tuple[list[Path], list[str]]:
+    """Return the rasters that a folder of tiles is read as, by name, and notes on what is left out.
+
+    Raises
+    ------
+    InputError
+        The folder holds none, or cannot be read.
+    """
     try:
         inside = sorted(path for path in folder.iterdir() if not path.name.startswith("."))
     except OSError as error:
@@ -290,10 +329,10 @@ def _choose_in_folder(folder: Path, choice: _Choice) -> None:
     stems = {path.stem for path in tiles}
     expected = {*tiles, *(path for path in plain if path.stem in stems)}
     unused = [path.name for path in inside if path not in expected and path.suffix.lower() not in _SIDE_CARS]
-    if unused:
-        more = f" and {len(unused) - _NAMED_AT_MOST} more" if len(unused) > _NAMED_AT_MOST else ""
-        choice.notes.append(f"not used of the folder {folder.name}: {', '.join(unused[:_NAMED_AT_MOST])}{more}")
-    choice.files.extend(tiles)
+    if not unused:
+        return tiles, []
+    more = f" and {len(unused) - _NAMED_AT_MOST} more" if len(unused) > _NAMED_AT_MOST else ""
+    return tiles, [f"not used of the folder {folder.name}: {', '.join(unused[:_NAMED_AT_MOST])}{more}"]
 
 
 def _union(path: Path, paths: list[Path], grids: list[Grid]) -> tuple[Grid, NDArray[np.int64]]:
@@ -343,6 +382,8 @@ def _place(path: Path, grid: Grid, lattice_path: Path, lattice: Grid) -> tuple[i
 def _having_data(colours: Colours, nodata: list[float | None]) -> Valid:
     """Where a pixel is data: not where all its bands are nodata (one alone may be black), nor where any is no number.
 
+    Neither is what has no texture.
+
     Only what may be nodata is looked at: most files declare none, and whole numbers are all finite.
     """
     real = colours.dtype.kind == "f"
@@ -352,6 +393,7 @@ def _having_data(colours: Colours, nodata: list[float | None]) -> Valid:
     if real:
         for plane in colours:
             valid &= np.isfinite(plane)
+        valid &= ~(colours == UNTEXTURED).all(axis=0)
     empty = is_nodata(colours[0], nodata[0])
     for plane, value in zip(colours[1:], nodata[1:], strict=True):
         if not empty.any():
