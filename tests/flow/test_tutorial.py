@@ -38,7 +38,7 @@ def test_the_tutorial_prints_what_it_says(tmp_path: Path) -> None:
 
 def test_commands_and_what_they_print_are_found_and_run_in_order(tmp_path: Path) -> None:
     steps = steps_of(TEXT)
-    assert steps == [Step("echo a 1.00; echo b", "a 1.00\nb\n"), Step("echo 7 > f", ""), Step("cat f", "7\n")]
+    assert steps == [Step("echo a 1.00; \\\n  echo b", "a 1.00\nb\n"), Step("echo 7 > f", ""), Step("cat f", "7\n")]
     assert [printed for _, printed in run(steps, tmp_path)] == [step.printed for step in steps]
 
 

@@ -1,7 +1,7 @@
 """The commands of docs/tutorial.md and what they print: `python tests/flow/tutorial.py --write` prints it anew.
 
-A block begins with ```console; a line that begins with `$ ` is a command (one that ends in a backslash goes on in the
-next, which begins with `> `), the lines after it are what it prints, on stdout and stderr, until the next command.
+A block begins with ```console; a line that begins with `$ ` is a command, which goes on in lines that begin with `> `;
+the lines after it are what it prints, on stdout and stderr, until the next command.
 """
 
 from __future__ import annotations
@@ -39,13 +39,11 @@ def steps_of(text: str) -> list[Step]:
     """Return the commands of a tutorial in their order."""
     found: list[Step] = []
     for block in _BLOCK.findall(text):
-        lines = iter(block.splitlines())
-        for line in lines:
+        for line in block.splitlines():
             if line.startswith("$ "):
-                command = line[2:]
-                while command.endswith("\\"):
-                    command = command[:-1] + next(lines).removeprefix("> ").lstrip()
-                found.append(Step(command, ""))
+                found.append(Step(line[2:], ""))
+            elif line.startswith("> "):
+                found[-1] = Step(f"{found[-1].command}\n{line[2:]}", "")
             else:
                 found[-1] = Step(found[-1].command, found[-1].printed + line + "\n")
     return found
@@ -92,14 +90,13 @@ def written(text: str, printed: list[str]) -> str:
     outputs = iter(printed)
 
     def block(found: re.Match[str]) -> str:
-        lines: list[str] = []
-        commands = found[1].splitlines()
-        for line in commands:
-            if line.startswith(("$ ", "> ")):
-                lines.append(line)
-                if not line.endswith("\\"):
-                    lines.append(_TIMES.sub(r"... \1", next(outputs)).rstrip("\n"))
-        return "```console\n" + "".join(f"{line}\n" for line in lines if line) + "```"
+        commands: list[str] = []
+        for line in found[1].splitlines():
+            if line.startswith("$ "):
+                commands.append(f"{line}\n")
+            elif line.startswith("> "):
+                commands[-1] += f"{line}\n"
+        return "```console\n" + "".join(each + _TIMES.sub(r"... \1", next(outputs)) for each in commands) + "```"
 
     return _BLOCK.sub(block, text)
 
