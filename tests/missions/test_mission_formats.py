@@ -104,7 +104,7 @@ def read_positions(name: str, text: str, folder: Path) -> list[tuple[float, floa
     return [(loader.wp(i).y, loader.wp(i).x) for i in range(2, loader.count())]
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=25, deadline=None)
 @given(plan=plans())
 def test_every_format_puts_every_waypoint_on_its_cell(
     plan: PlanDocument, tmp_path_factory: pytest.TempPathFactory

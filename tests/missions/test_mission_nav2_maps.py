@@ -157,8 +157,9 @@ def test_the_speed_filter_always_has_a_limit_and_the_slowest_where_none_may_go()
     assert info["type"] == 1
     mask = load_map(files, "speed_mask.yaml")
     x, y = centres(mask)
-    limits = np.array([speed_percent(mask, info["base"], info["multiplier"], *at) for at in zip(x.flat, y.flat)])
-    limits = limits.reshape(score.shape)[::-1]
+    places = zip(x.flat, y.flat, strict=True)
+    found = [speed_percent(mask, info["base"], info["multiplier"], *place) for place in places]
+    limits = np.array(found).reshape(score.shape)[::-1]
     assert not (limits == NO_LIMIT).any()
     assert limits[3, 4:8].tolist() == [10, 10, 50, 100]
     assert (limits[np.isnan(score)] == limits.min()).all()

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import math
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -30,7 +31,7 @@ def walks(draw: st.DrawFn) -> tuple[list[Cell], np.ndarray]:
 
 
 def corners_of(cells: list[Cell]) -> list[int]:
-    return turn_steps([(b[0] - a[0], b[1] - a[1]) for a, b in zip(cells, cells[1:], strict=False)])
+    return turn_steps([(b[0] - a[0], b[1] - a[1]) for a, b in pairwise(cells)])
 
 
 def crossed(start: Cell, end: Cell) -> set[Cell]:
@@ -57,7 +58,7 @@ def test_chords_stay_off_no_go_and_near_the_walk(walk: tuple[list[Cell], np.ndar
     steps = simplified(cells, corners, tolerance, go)
     assert (steps[0], steps[-1]) == (corners[0], corners[-1])
     assert set(steps) <= set(corners)
-    for first, last in zip(steps, steps[1:], strict=False):
+    for first, last in pairwise(steps):
         assert all(go[cell] for cell in crossed(cells[first], cells[last]))
         chord = shapely.LineString([cells[first], cells[last]])
         assert max(chord.distance(shapely.Point(cell)) for cell in cells[first : last + 1]) <= tolerance + 1e-9
