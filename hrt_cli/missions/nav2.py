@@ -106,13 +106,14 @@ def _path(mission: Mission) -> str:
 def _datum(mission: Mission) -> str:
     frame = mission.frame
     east_m, north_m = (fixed(metres, _METRE_DECIMALS) for metres in frame.origin)
+    crs = frame.crs.to_string() if frame.kind == "utm" else frame.crs.to_proj4()
     axes = {"utm": "grid east and grid north", "enu": "the true east and north of the origin"}[frame.kind]
     return f"""# The origin of the frame {MAP_FRAME} (WGS 84); its axes point to {axes}.
 latitude: {fixed(frame.lat_deg, _DEGREE_DECIMALS)}
 longitude: {fixed(frame.lon_deg, _DEGREE_DECIMALS)}
 frame: {frame.kind}
 # x, y are the coordinates of this CRS less the easting and the northing of the origin, in metres.
-crs: "{frame.crs.to_string()}"
+crs: "{crs}"
 easting: {east_m}
 northing: {north_m}
 # Bearing of the y axis from true north at the origin, clockwise, in radians.

@@ -3,7 +3,8 @@
 Every map is a PGM beside a YAML file of mode `raw`, in which map_server takes a pixel of 0..100 as it is and any other
 as unknown (nav2_map_server, map_io.cpp; the image's top row lies at the largest y, `origin` is the corner of its lower
 left pixel). Cells are square and axes those of the local frame: a scoremap that has them is written as it is, any other
-is resampled by its nearest cell.
+is resampled by its nearest cell, in half its cell size: then, however the grids lie to each other, the pixel at the
+middle of each cell has its centre in that cell, so that no waypoint is kept out.
 
 - `scoremap`: 100 is the best score, unknown is no-go. A picture, not a costmap, in which 100 would be an obstacle.
 - `keepout_mask`: 100 (lethal) is no-go or off the map; what is open weighs from 0 (best) to 99, as Nav2's weighted
@@ -37,6 +38,7 @@ _SLOWEST = 10
 _SQUARE = 1e-3
 _METRE_DECIMALS = 6
 _EDGE_POINTS = 33
+_PIXELS_A_CELL = 2
 
 
 def graded(scoremap: Scoremap) -> bool:
@@ -102,7 +104,7 @@ def _in_frame(score: Scores, scoremap: Scoremap, frame: LocalFrame) -> tuple[Sco
     upright = a > 0 > e and max(abs(b), abs(d)) <= _SQUARE * a and abs(a + e) <= _SQUARE * a
     if grid.crs == frame.crs and upright:
         return score, Grid(grid.rows, grid.cols, Affine(a, 0.0, c - east_m, 0.0, -a, f - north_m), None)
-    target = _covering(grid, frame, scoremap.cell_size_m)
+    target = _covering(grid, frame, scoremap.cell_size_m / _PIXELS_A_CELL)
     out = np.full(target.shape, np.nan, np.float32)
     warp_onto(Path("scoremap"), score, grid, out, target, "nearest", src_nodata=np.nan, dst_nodata=np.nan, tolerance=0)
     cell_m, west, top = target.transform.a, target.transform.c, target.transform.f

@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+import csv
+import io
 import json
 from pathlib import Path
 
@@ -7,6 +9,8 @@ import geojson as geojson_peer
 import gpxpy
 import jsonschema
 import pytest
+import yaml
+from fastkml import validator
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from lxml import etree
@@ -20,7 +24,9 @@ from mission_samples import (
     ungeoreferenced_plan,
     waypoint_cells,
 )
+from moos_reader import read_behaviors, read_points
 from pymavlink import mavwp
+from pyproj import Transformer
 
 from hrt_cli.artifacts.plan import PlanDocument
 from hrt_cli.errors import ArgumentError
@@ -75,6 +81,22 @@ def read_positions(name: str, text: str, folder: Path) -> list[tuple[float, floa
         document = json.loads(text)
         jsonschema.Draft202012Validator(SCHEMA).validate(document)
         return [(i["params"][5], i["params"][4]) for i in document["mission"]["items"] if i["command"] == 16]
+    if name == "kml":
+        root = etree.fromstring(text.encode())
+        assert validator.get_schema_parser().validate(root)
+        points = root.iterfind(".//{*}Point/{*}coordinates")
+        return [tuple(map(float, point.text.split(","))) for point in points]
+    if name == "csv":
+        return [(float(row["lon"]), float(row["lat"])) for row in csv.DictReader(io.StringIO(text), strict=True)]
+    if name == "nav2":
+        return [(place["longitude"], place["latitude"]) for place in yaml.safe_load(text)["waypoints"]]
+    if name == "moos":
+        lat, lon = (float(line.split("=")[1]) for line in text.splitlines() if "Origin" in line)
+        utm = f"+proj=utm +ellps=WGS84 +zone={int((lon + 180) // 6) + 1}"
+        east, north = Transformer.from_crs("EPSG:4326", utm, always_xy=True).transform(lon, lat)
+        back = Transformer.from_crs(utm, "EPSG:4326", always_xy=True)
+        points = read_points(read_behaviors(text)[1][0].only("points"))
+        return [back.transform(x + east, y + north) for x, y in points]
     path = folder / "mission.waypoints"
     path.write_text(text)
     loader = mavwp.MAVWPLoader()
@@ -82,7 +104,7 @@ def read_positions(name: str, text: str, folder: Path) -> list[tuple[float, floa
     return [(loader.wp(i).y, loader.wp(i).x) for i in range(2, loader.count())]
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=25, deadline=None)
 @given(plan=plans())
 def test_every_format_puts_every_waypoint_on_its_cell(
     plan: PlanDocument, tmp_path_factory: pytest.TempPathFactory
@@ -121,6 +143,11 @@ def test_no_format_takes_a_plan_without_real_coordinates(name: str, georeference
         ("m.gpx", "gpx"),
         ("m.geojson", "geojson"),
         ("m.json", "geojson"),
+        ("m.kml", "kml"),
+        ("m.csv", "csv"),
+        ("m.yaml", "nav2"),
+        ("m.YML", "nav2"),
+        ("m.bhv", "moos"),
     ],
 )
 def test_the_suffix_names_the_format(path: str, name: str) -> None:
@@ -136,8 +163,13 @@ def test_a_name_is_stronger_than_the_suffix() -> None:
     ("path", "name"), [("m.kmz", None), ("m", None), (".gpx", None), ("m.gpx", "gpx2"), ("m.gpx", "")]
 )
 def test_an_unknown_format_is_refused_with_the_known_ones(path: str, name: str | None) -> None:
-    with pytest.raises(ArgumentError, match=r"qgc.*wpl.*gpx.*geojson"):
+    with pytest.raises(ArgumentError, match=r"qgc.*wpl.*gpx.*geojson.*kml.*csv.*nav2.*moos"):
         format_for(path, name)
+
+
+def test_only_a_format_of_several_files_fills_a_folder() -> None:
+    assert [name for name, entry in FORMATS.items() if entry.is_folder(Path("out/site"))] == ["nav2"]
+    assert not FORMATS["nav2"].is_folder(Path("out/site.yaml"))
 
 
 def test_no_two_formats_share_a_suffix() -> None:

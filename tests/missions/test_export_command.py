@@ -1,0 +1,181 @@
+"""From a plan's file to the mission's, as a user calls it: teams, folders, what is up to date and what is refused."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+from affine import Affine
+from click.testing import CliRunner, Result
+from mission_samples import ADELAIDE, UTM_SOUTH, transform_at
+from nav2_reader import keepout_cost, load_graph, load_map
+from rasterio.crs import CRS
+
+from hrt_cli.artifacts.provenance import Provenance
+from hrt_cli.main import cli
+from hrt_cli.missions.formats import FORMATS
+from hrt_cli.raster.grid import Grid
+from hrt_cli.raster.scoremap import Scoremap, publish_scoremap
+
+MADE = Provenance(
+    tool="hrt", version="0", stage="scoremap", stage_version=1, parameters={}, inputs=[], fingerprint="0" * 64
+)
+NAV2_FILES = {
+    "gps_waypoints.yaml", "path.yaml", "datum.yaml", "navsat_transform.yaml", "route.geojson",
+    "scoremap.yaml", "scoremap.pgm", "keepout_mask.yaml", "keepout_mask.pgm", "speed_mask.yaml", "speed_mask.pgm",
+    "filter_info.yaml",
+}  # fmt: skip
+
+
+def hrt(*words: object) -> Result:
+    return CliRunner().invoke(cli, list(map(str, words)))
+
+
+def run(*words: object) -> dict[str, Any]:
+    result = hrt(*words, "--json")
+    assert result.exit_code == 0, result.output
+    return json.loads(result.stdout)
+
+
+def refusal(*words: object) -> str:
+    """The message of the refusal."""
+    result = hrt(*words)
+    assert result.exit_code != 0
+    return str(result.exception) + result.output
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with a scoremap, a plan on it, and the plan of a team."""
+    folder = tmp_path_factory.mktemp("site")
+    score = np.random.default_rng(4).random((14, 18)).astype(np.float32)
+    score[5:8, 6:9] = np.nan
+    grid = Grid(14, 18, Affine(*transform_at(UTM_SOUTH, ADELAIDE, 2.0, 20.0)), CRS.from_user_input(UTM_SOUTH))
+    made = Scoremap(score, np.zeros_like(score), grid, 2.0)
+    publish_scoremap(folder / "map.tif", made, MADE, tags={}, creation={})
+    plan = ["plan", folder / "map.tif", "--budget", 40, "--effort", 0.1, "--start"]
+    run(*plan, "cell:0,0", "-o", folder / "plan.json")
+    run(*plan, "cell:0,0", "--start", "cell:13,17", "--robots", 2, "-o", folder / "team.json")
+    return folder
+
+
+@pytest.mark.parametrize("name", FORMATS)
+def test_every_format_is_written_and_then_up_to_date(name: str, site: Path, tmp_path: Path) -> None:
+    output = tmp_path / f"mission{FORMATS[name].suffixes[0]}"
+    said = run("export", site / "plan.json", "-o", output)
+    assert (said["format"], said["up_to_date"], said["output"]) == (name, False, str(output))
+    content = output.read_bytes()
+    assert run("export", site / "plan.json", "-o", output)["up_to_date"]
+    assert output.read_bytes() == content
+
+
+def test_a_nav2_folder_holds_all_its_files_and_is_then_up_to_date(site: Path, tmp_path: Path) -> None:
+    words = ["export", site / "plan.json", "-o", tmp_path / "site", "--format", "nav2", "--scoremap", site / "map.tif"]
+    assert not run(*words)["up_to_date"]
+    assert {path.name for path in (tmp_path / "site").iterdir()} == NAV2_FILES
+    assert run(*words)["up_to_date"]
+    (tmp_path / "site" / "datum.yaml").write_text("latitude: 0.0\n")
+    assert "--overwrite" in refusal(*words)
+    assert not run(*words, "--overwrite")["up_to_date"]
+    assert yaml.safe_load((tmp_path / "site" / "datum.yaml").read_text())["latitude"] < -30
+
+
+def test_a_folder_with_files_of_others_is_left_alone(site: Path, tmp_path: Path) -> None:
+    words = ["export", site / "plan.json", "-o", tmp_path / "site", "--format", "nav2"]
+    run(*words)
+    mine = tmp_path / "site" / "mine.txt"
+    mine.write_text("mine")
+    assert "--overwrite" in refusal(*words)
+    assert mine.read_text() == "mine"
+
+
+def test_no_waypoint_of_a_nav2_folder_is_kept_out_by_its_own_masks(site: Path, tmp_path: Path) -> None:
+    folder = tmp_path / "site"
+    run("export", site / "plan.json", "-o", folder, "--format", "nav2", "--scoremap", site / "map.tif")
+    files = {path.name: path.read_bytes() for path in folder.iterdir()}
+    mask = load_map(files, "keepout_mask.yaml")
+    poses = yaml.safe_load(files["path.yaml"])["poses"]
+    places = [(pose["pose"]["position"]["x"], pose["pose"]["position"]["y"]) for pose in poses]
+    assert len(places) > 5
+    assert max(keepout_cost(mask, x, y, 0) for x, y in places) < 253
+    nodes, _ = load_graph(files["route.geojson"])
+    assert len(nodes) == len(set(places))
+
+
+@pytest.mark.parametrize("output", ["mission.plan", "mission.yaml", "nav2"])
+def test_a_team_gets_a_mission_each(output: str, site: Path, tmp_path: Path) -> None:
+    target = tmp_path / output
+    said = run("export", site / "team.json", "-o", target, *(["--format", "nav2"] if "plan" not in output else []))
+    paths = [target.with_name(f"{target.stem}-{robot}{target.suffix}") for robot in (1, 2)]
+    assert [mission["output"] for mission in said["missions"]] == list(map(str, paths))
+    assert sorted(tmp_path.iterdir()) == paths
+    alone = tmp_path / "alone" / output
+    alone.parent.mkdir()
+    run("export", site / "team-2.json", "-o", alone, *(["--format", "nav2"] if "plan" not in output else []))
+    assert contents(alone) == contents(paths[1])
+
+
+def contents(path: Path) -> Any:
+    """A file's bytes, or those of a folder's files; without the comments that tell the name."""
+    if path.is_dir():
+        return {each.name: contents(each) for each in sorted(path.iterdir())}
+    return [line for line in path.read_text().splitlines() if not line.startswith("#")]
+
+
+def test_depth_and_a_negative_altitude_are_the_same(site: Path, tmp_path: Path) -> None:
+    words = ["export", site / "plan.json", "--vehicle", "submarine", "-o"]
+    run(*words, tmp_path / "a.waypoints", "--depth", 3.5)
+    run(*words, tmp_path / "b.waypoints", "--altitude", -3.5)
+    assert (tmp_path / "a.waypoints").read_bytes() == (tmp_path / "b.waypoints").read_bytes()
+    run(*words, tmp_path / "c.bhv", "--depth", 3.5)
+    assert "= 3.500" in (tmp_path / "c.bhv").read_text()
+
+
+@pytest.mark.parametrize(
+    ("words", "reason"),
+    [
+        (["--depth", "3", "--altitude", "-3", "--vehicle", "submarine"], "give one"),
+        (["--depth", "3", "--above-bottom", "3", "--vehicle", "submarine"], "give one"),
+        (["--depth", "3"], "submarine"),
+        (["--above-bottom", "3"], "submarine"),
+        (["--above-bottom", "3", "--vehicle", "submarine", "--format", "moos"], "height above the bottom"),
+        (["--above-bottom", "3", "--vehicle", "submarine", "--format", "nav2"], "height above the bottom"),
+        (["--hold", "3", "--format", "moos"], "does not wait"),
+        (["--datum", "0,86", "--format", "csv"], "UTM does not reach"),
+        (["--format", "kmz"], "kmz"),
+    ],
+)
+def test_what_cannot_be_is_refused_and_nothing_is_written(
+    words: list[str], reason: str, site: Path, tmp_path: Path
+) -> None:
+    assert reason in refusal("export", site / "plan.json", "-o", tmp_path / "mission.plan", *words)
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_scoremap_lets_tolerance_leave_out_more(site: Path, tmp_path: Path) -> None:
+    words = ["export", site / "plan.json", "--tolerance", 3, "-o"]
+    alone = run(*words, tmp_path / "a.csv")["waypoints"]
+    with_map = run(*words, tmp_path / "b.csv", "--scoremap", site / "map.tif")["waypoints"]
+    exact = run("export", site / "plan.json", "-o", tmp_path / "c.csv")["waypoints"]
+    assert with_map < exact
+    assert with_map <= alone <= exact
+
+
+def test_a_scoremap_of_another_grid_is_refused(site: Path, tmp_path: Path) -> None:
+    np.savez(tmp_path / "other.npz", score=np.ones((4, 5), np.float32))
+    said = refusal("export", site / "plan.json", "-o", tmp_path / "m.csv", "--scoremap", tmp_path / "other.npz")
+    assert "other.npz" in said
+
+
+def test_the_datum_moves_the_metres(site: Path, tmp_path: Path) -> None:
+    words = ["export", site / "plan.json", "--local-frame", "enu", "-o"]
+    run(*words, tmp_path / "a.csv")
+    run(*words, tmp_path / "b.csv", "--datum", f"{ADELAIDE[0]},{ADELAIDE[1] - 0.001}")
+    first, second = (np.genfromtxt(tmp_path / name, delimiter=",", names=True) for name in ("a.csv", "b.csv"))
+    assert np.ptp(second["y_m"] - first["y_m"]) < 0.01
+    assert second["y_m"][0] > first["y_m"][0]
+    assert np.array_equal(first["lat"], second["lat"])
