@@ -53,7 +53,7 @@ def _print_raster(
     if len(rasters) == 1:
         found = inspect_raster(rasters[0], bands=bands, nodata=nodata, unreferenced=unreferenced)
     else:
-        found = inspect_tiles(list(rasters), bands=bands, nodata=nodata)
+        found = inspect_tiles(list(rasters), named=list(rasters), bands=bands, nodata=nodata)
     console.result("\n".join(_raster_lines(found)), _raster_data(found), only_here=True)
 
 
@@ -86,6 +86,9 @@ def _raster_lines(found: Inspection) -> list[str]:
         f"  bands      {facts['bands']}: {colours}; compression {facts['compression']}",
         f"  nodata     {facts['nodata'][0]}; alpha band {facts.get('alpha_band')}; mask {facts['mask']}",
     ]
+    if facts["values"] is not None:
+        low, middle, high = facts["values"]
+        lines.append(f"  values     {low:.6g} to {high:.6g}, median {middle:.6g}")
     if facts["made_with"] is not None:
         lines.insert(2, f"  made with  {_maker(facts)}")
     if "pixel_m" in facts:
