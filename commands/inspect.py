@@ -38,7 +38,12 @@ def inspect(
 
     Exits with 0 also where `segment` would refuse the raster: the refusal is then part of the answer.
     """
-    if len(rasters) == 1 and rasters[0].is_dir():
+    folder = len(rasters) == 1 and rasters[0].is_dir()
+    if unreferenced and (folder or len(rasters) > 1):
+        raise click.UsageError("--unreferenced is for one plain image")
+    if bands and folder:
+        raise click.UsageError("--bands is for rasters: name those in the folder")
+    if folder:
         _print_folder(rasters[0], nodata, console)
     else:
         _print_raster(rasters, bands, nodata, unreferenced, console)

@@ -11,11 +11,10 @@ from typing import Any
 import numpy as np
 
 from hrt_cli.errors import HrtError, InputError
-from hrt_cli.raster.cog import tagged_provenance
 from hrt_cli.raster.gate import Raster, open_raster
 from hrt_cli.raster.grid import Grid
 from hrt_cli.raster.image import Image, open_orthomosaic
-from hrt_cli.raster.recognise import Sample, data_bands, made_with, require_picture, take_sample, what_it_is
+from hrt_cli.raster.recognise import Sample, data_bands, hrt_stage, made_with, require_picture, take_sample, what_it_is
 from hrt_cli.raster.traps import traps
 
 # Measured with benchmarks/texture.py on one core of the slow machine it was written on: a rough guide only.
@@ -149,7 +148,7 @@ def _values(raster: Raster, sample: Sample) -> list[float] | None:
 
 
 def _header(raster: Raster) -> dict[str, Any]:
-    provenance = tagged_provenance(raster)
+    stage = hrt_stage(raster)
     return {
         "file": raster.path.name,
         "bytes": raster.path.stat().st_size,
@@ -165,7 +164,7 @@ def _header(raster: Raster) -> dict[str, Any]:
         "overviews": raster.overviews,
         "mask": raster.has_mask,
         "software": raster.tags.get("TIFFTAG_SOFTWARE"),
-        "made_by": f"hrt {provenance.stage}" if provenance else None,
+        "made_by": f"hrt {stage}" if stage else None,
     }
 
 

@@ -42,7 +42,7 @@ class TestWhatIsNoPicture:
         assert not (tmp_path / "classes.tif").exists()
 
     def test_or_by_its_nodata_value_and_heights(self, tmp_path: Path) -> None:
-        with pytest.raises(InputError, match="looks like heights or temperatures.*nodata is -9999"):
+        with pytest.raises(InputError, match=r"looks like heights or temperatures.*nodata is -9999"):
             classes(model(tmp_path / "a.tif"))
 
     def test_unless_its_band_is_asked_for(self, tmp_path: Path) -> None:
