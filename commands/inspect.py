@@ -38,7 +38,12 @@ def inspect(
 
     Exits with 0 also where `segment` would refuse the raster: the refusal is then part of the answer.
     """
-    if len(rasters) == 1 and rasters[0].is_dir():
+    folder = len(rasters) == 1 and rasters[0].is_dir()
+    if unreferenced and (folder or len(rasters) > 1):
+        raise click.UsageError("--unreferenced is for one plain image")
+    if bands and folder:
+        raise click.UsageError("--bands is for rasters: name those in the folder")
+    if folder:
         _print_folder(rasters[0], nodata, console)
     else:
         _print_raster(rasters, bands, nodata, unreferenced, console)
@@ -53,7 +58,7 @@ def _print_raster(
     if len(rasters) == 1:
         found = inspect_raster(rasters[0], bands=bands, nodata=nodata, unreferenced=unreferenced)
     else:
-        found = inspect_tiles(list(rasters), bands=bands, nodata=nodata)
+        found = inspect_tiles(list(rasters), named=list(rasters), bands=bands, nodata=nodata)
     console.result("\n".join(_raster_lines(found)), _raster_data(found), only_here=True)
 
 
@@ -86,6 +91,9 @@ def _raster_lines(found: Inspection) -> list[str]:
         f"  bands      {facts['bands']}: {colours}; compression {facts['compression']}",
         f"  nodata     {facts['nodata'][0]}; alpha band {facts.get('alpha_band')}; mask {facts['mask']}",
     ]
+    if facts["values"] is not None:
+        low, middle, high = facts["values"]
+        lines.append(f"  values     {low:.6g} to {high:.6g}, median {middle:.6g}")
     if facts["made_with"] is not None:
         lines.insert(2, f"  made with  {_maker(facts)}")
     if "pixel_m" in facts:

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from hrt_cli.errors import HrtError, InputError
-from hrt_cli.raster.cog import tagged_provenance
 from hrt_cli.raster.gate import Raster, open_raster
 from hrt_cli.raster.grid import Grid
 from hrt_cli.raster.image import Image, open_orthomosaic
-from hrt_cli.raster.recognise import made_with, require_picture, take_sample, what_it_is
+from hrt_cli.raster.recognise import Sample, data_bands, hrt_stage, made_with, require_picture, take_sample, what_it_is
 from hrt_cli.raster.traps import traps
 
 # Measured with benchmarks/texture.py on one core of the slow machine it was written on: a rough guide only.
@@ -92,49 +94,61 @@ def inspect_rasters(
     InputError
         It is no raster at all.
     """
+    grid, warnings = (None, []) if unreferenced else _placed(first)
     with open_raster(first, nodata=nodata, unreferenced=True) as raster:
-        facts = _header(raster)
-        grid = None if unreferenced else _grid(first)
         sample = take_sample(raster)
         maker, kind = made_with(raster), what_it_is(raster, sample)
-        notes = traps(raster, grid, sample, kind, maker)
+        facts = _header(raster) | {"values": _values(raster, sample)}
+        trapped = traps(raster, grid, sample, kind, maker)
     facts |= {
         "made_with": maker.program,
         "made_with_by": maker.by,
         "kind": kind.name,
         "kind_certainty": kind.certainty,
         "kind_because": kind.because,
-        "used_by": [use.replace("FILE", str(first)) for use in USES[kind.name]],
+        "used_by": [use.replace("FILE", shlex.quote(str(first))) for use in USES[kind.name]],
     }
     refusal = None
     try:
         with open_orthomosaic(paths, bands=bands, nodata=nodata, unreferenced=unreferenced) as image:
             facts |= _image(image)
             grid = image.grid if image.grid.crs is not None else None
-            notes = [*image.notes, *notes]
-            if not bands:
-                notes += require_picture(image)
+            doubts = [] if bands else require_picture(image)
+            warnings = image.notes + doubts
     except HrtError as error:
         refusal = str(error)
         if grid is not None and "crs" not in facts:
             facts |= _place(grid)
+    notes = list(dict.fromkeys([*warnings, *trapped]))
     megapixels = facts["rows"] * facts["cols"] / 1e6
     facts["megapixels"] = megapixels
     facts["segment_seconds"] = round(_START_UP_S + megapixels / _MEGAPIXELS_PER_SECOND, 1)
     facts["segment_memory_mb"] = round(_BASE_MB + _MB_PER_WORKER)
-    return Inspection(facts, list(dict.fromkeys(notes)), refusal, grid)
+    return Inspection(facts, notes, refusal, grid)
 
 
-def _grid(path: Path) -> Grid | None:
+def _placed(path: Path) -> tuple[Grid | None, list[str]]:
+    """Return where a raster lies, if that can be trusted, and what there is to know of it."""
     try:
         with open_raster(path) as raster:
-            return raster.grid
+            return raster.grid, raster.notes
     except InputError:
+        return None, []
+
+
+def _values(raster: Raster, sample: Sample) -> list[float] | None:
+    """Return 1 %, median and 99 % of the values of a raster with one band of more than 8 bits."""
+    bands = data_bands(raster)
+    if len(bands) != 1 or raster.dtypes[bands[0] - 1] == "uint8":
         return None
+    values = sample.valid(raster, bands[0])
+    return (
+        [float(value) for value in np.quantile(values.astype(np.float64), (0.01, 0.5, 0.99))] if values.size else None
+    )
 
 
 def _header(raster: Raster) -> dict[str, Any]:
-    provenance = tagged_provenance(raster)
+    stage = hrt_stage(raster)
     return {
         "file": raster.path.name,
         "bytes": raster.path.stat().st_size,
@@ -150,7 +164,7 @@ def _header(raster: Raster) -> dict[str, Any]:
         "overviews": raster.overviews,
         "mask": raster.has_mask,
         "software": raster.tags.get("TIFFTAG_SOFTWARE"),
-        "made_by": f"hrt {provenance.stage}" if provenance else None,
+        "made_by": f"hrt {stage}" if stage else None,
     }
 
 

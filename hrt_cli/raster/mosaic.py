@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -18,6 +17,7 @@ from numpy.typing import NDArray
 from rasterio.enums import ColorInterp
 
 from hrt_cli.errors import ArgumentError, InputError
+from hrt_cli.raster.files import choose_files
 from hrt_cli.raster.gate import DatasetPool, Raster, is_nodata, load_raster
 from hrt_cli.raster.grid import Grid, require_measurable
 from hrt_cli.raster.windows import Window
@@ -27,15 +27,6 @@ MAX_OPEN = 32
 _SAME_SIZE = 1e-6
 _SAME_LATTICE_PX = 0.01
 _MAX_SPREAD = 1000
-_TILES = (".tif", ".tiff", ".jp2", ".img")
-_PLAIN_TILES = (".png", ".jpg", ".jpeg")
-"""Previews where there are GeoTIFFs; else tiles that a side-car places."""
-_SIDE_CARS = (
-    *(".ovr", ".msk", ".xml", ".aux", ".rrd", ".ige", ".qml", ".qmd", ".sld", ".clr", ".prj", ".wkt", ".txt", ".csv"),
-    *(".tfw", ".tifw", ".tiffw", ".j2w", ".jp2w", ".igw", ".pgw", ".pngw", ".jgw", ".jpgw", ".jpegw", ".wld"),
-    *(".json", ".geojson", ".gpkg", ".kml", ".kmz", ".shp", ".shx", ".dbf", ".cpg", ".pdf", ".html", ".md", ".md5"),
-)
-_NAMED_AT_MOST = 3
 _BLURRED_ALPHA = 127
 """Alpha up to which a pixel is transparent where compression with loss has blurred the steps from 0 to 255."""
 
@@ -235,14 +226,6 @@ class Mosaic:
         return self._tiles[index].read(Window(window.row - row, window.col - col, window.height, window.width))
 
 
-@dataclass
-class _Choice:
-    """Which files are meant, in the order of their names, and what was left out."""
-
-    files: list[Path] = field(default_factory=list)
-    notes: list[str] = field(default_factory=list)
-
-
 @contextmanager
 def open_layer(
     paths: Sequence[Path], *, bands: tuple[int, ...], nodata: float | None, unreferenced: bool
@@ -262,7 +245,7 @@ def open_layer(
         A file is no raster that the gate lets through, a folder holds none, a file is given twice, or the rasters
         do not lie on one lattice with the same bands.
     """
-    choice = _choose_files(paths)
+    choice = choose_files(paths)
     if unreferenced and len(choice.files) > 1:
         raise InputError(
             choice.files[1], f"has no place beside {choice.files[0]}: --unreferenced takes one plain image"
@@ -273,66 +256,6 @@ def open_layer(
         layer: Layer = tiles[0] if len(tiles) == 1 else Mosaic(tiles, paths[0] if len(paths) == 1 else tiles[0].path)
         layer.notes.extend(choice.notes)
         yield layer
-
-
-def _choose_files(paths: Sequence[Path]) -> _Choice:
-    """List the files that are meant, sorted by name."""
-    if not paths:
-        raise ArgumentError("no orthomosaic is named")
-    choice = _Choice()
-    for path in paths:
-        if path.is_dir():
-            _choose_in_folder(path, choice)
-        else:
-            choice.files.append(path)
-    choice.files.sort(key=lambda path: (path.name, path.absolute().as_posix()))
-    seen: dict[tuple[int, int], Path] = {}
-    for path in choice.files:
-        if not path.is_file():
-            raise InputError(path, "no such file")
-        status = path.stat()
-        identity = status.st_dev, status.st_ino
-        if identity in seen:
-            raise InputError(path, f"is the same file as {seen[identity]}: give it once")
-        seen[identity] = path
-    choice.notes.sort()
-    return choice
-
-
-def _choose_in_folder(folder: Path, choice: _Choice) -> None:
-    tiles, notes = rasters_in(folder)
-    choice.files.extend(tiles)
-    choice.notes.extend(notes)
-
-
-def rasters_in(folder: Path) -> tuple[list[Path], list[str]]:
-    """Return the rasters that a folder of tiles is read as, by name, and notes on what is left out.
-
-    Raises
-    ------
-    InputError
-        The folder holds none, or cannot be read.
-    """
-    try:
-        inside = sorted(path for path in folder.iterdir() if not path.name.startswith("."))
-    except OSError as error:
-        raise InputError(folder, f"cannot be read: {error.strerror or error}") from error
-    files = [path for path in inside if path.is_file()]
-    tiles = [path for path in files if path.suffix.lower() in _TILES]
-    plain = [path for path in files if path.suffix.lower() in _PLAIN_TILES]
-    if not tiles:
-        tiles, plain = plain, []
-    if not tiles:
-        vrts = [path for path in files if path.suffix.lower() == ".vrt"]
-        remedy = f"name {vrts[0]} itself" if vrts else f"tiles end in {', '.join(_TILES + _PLAIN_TILES)}"
-        raise InputError(folder, "is a folder without rasters", remedy)
-    stems = {path.stem for path in tiles}
-    expected = {*tiles, *(path for path in plain if path.stem in stems)}
-    unused = [path.name for path in inside if path not in expected and path.suffix.lower() not in _SIDE_CARS]
-    if not unused:
-        return tiles, []
-    more = f" and {len(unused) - _NAMED_AT_MOST} more" if len(unused) > _NAMED_AT_MOST else ""
-    return tiles, [f"not used of the folder {folder.name}: {', '.join(unused[:_NAMED_AT_MOST])}{more}"]
 
 
 def _union(path: Path, paths: list[Path], grids: list[Grid]) -> tuple[Grid, NDArray[np.int64]]:

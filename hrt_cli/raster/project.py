@@ -10,9 +10,10 @@ from pathlib import Path
 import numpy as np
 
 from hrt_cli.errors import HrtError, InputError
+from hrt_cli.raster.files import rasters_in
 from hrt_cli.raster.grid import Grid, transform_points
 from hrt_cli.raster.inspect import Inspection, inspect_raster, inspect_rasters
-from hrt_cli.raster.mosaic import open_layer, rasters_in
+from hrt_cli.raster.mosaic import open_layer
 
 _ODM = ("odm_orthophoto/odm_orthophoto.tif", "odm_dem/dsm.tif", "odm_dem/dtm.tif")
 _PIX4D = ("2_mosaic/*_mosaic_*.tif", "1_dsm/*_dsm.tif", "extras/dtm/*_dtm.tif")
@@ -59,6 +60,8 @@ def inspect_folder(folder: Path, *, nodata: float | None = None) -> Project:
     """
     program, parts, notes = _choose(folder)
     found = [_look(folder, part, nodata) for part in parts]
+    if program is None and len(found) > 1 and all(one.facts["kind"] == "orthomosaic" for one in found):
+        notes.append(f"they are no tiles of one orthomosaic: {_apart([path for [path] in parts])}")
     ortho = _first(found, "orthomosaic")
     for other in (_first(found, *_MODELS), _first(found, "thermal orthomosaic")):
         if ortho is not None and other is not None:
@@ -73,11 +76,12 @@ def _choose(folder: Path) -> tuple[str | None, list[list[Path]], list[str]]:
     if pix4d := _pix4d(folder):
         return "Pix4Dmapper", pix4d, []
     rasters, notes = rasters_in(folder)
-    if len(rasters) > 1 and (problem := _apart(rasters)) is None:
+    if len(rasters) > 1 and _apart(rasters) is None:
         return None, [rasters], notes
     if len(rasters) > _MOST:
-        notes.append(f"of its {len(rasters)} rasters, which are no tiles of one ({problem}), {_MOST} were looked at")
-    return None, [[path] for path in rasters[:_MOST]], notes
+        notes.append(f"of its {len(rasters)} rasters only the first {_MOST} were looked at")
+        return None, [[path] for path in rasters[:_MOST]], notes
+    return None, [[path] for path in rasters], []
 
 
 def _pix4d(folder: Path) -> list[list[Path]]:
@@ -105,14 +109,25 @@ def _look(folder: Path, part: list[Path], nodata: float | None) -> Inspection:
     place = part[0] if len(part) == 1 else part[0].parent
     name = Path(os.path.relpath(place, folder)).as_posix()
     try:
-        seen = inspect_raster(place, nodata=nodata) if len(part) == 1 else inspect_tiles(part, nodata=nodata)
+        if len(part) == 1:
+            seen = inspect_raster(place, nodata=nodata)
+        else:
+            seen = inspect_tiles(part, named=[place], nodata=nodata)
     except InputError as error:
         return Inspection({"path": name, "file": place.name, "kind": "unknown"}, [], str(error))
     return replace(seen, facts={"path": name, **seen.facts})
 
 
-def inspect_tiles(tiles: list[Path], *, bands: tuple[int, ...] = (), nodata: float | None = None) -> Inspection:
+def inspect_tiles(
+    tiles: list[Path], *, named: list[Path], bands: tuple[int, ...] = (), nodata: float | None = None
+) -> Inspection:
     """Look at several rasters as at one orthomosaic.
+
+    Parameters
+    ----------
+    tiles : list of Path
+    named : list of Path
+        What the user calls them by: the files, or their folder.
 
     Raises
     ------
@@ -121,7 +136,8 @@ def inspect_tiles(tiles: list[Path], *, bands: tuple[int, ...] = (), nodata: flo
     """
     seen = inspect_rasters(tiles, first=min(tiles, key=lambda path: path.name), bands=bands, nodata=nodata)
     size = sum(path.stat().st_size for path in tiles if path.is_file())
-    return replace(seen, facts={**seen.facts, "bytes": size, "tiles": len(tiles)})
+    uses = [f"hrt segment {shlex.join(map(str, named))}"] if seen.facts["kind"] == "orthomosaic" else []
+    return replace(seen, facts={**seen.facts, "bytes": size, "tiles": len(tiles), "used_by": uses})
 
 
 def _first(found: list[Inspection], *kinds: str) -> Inspection | None:

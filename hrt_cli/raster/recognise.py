@@ -118,6 +118,12 @@ class Sample:
         """Return the values [n] of a band; none where it was not looked at."""
         return self.values[self.bands.index(band)] if band in self.bands else np.empty(0)
 
+    def valid(self, raster: Raster, band: int) -> NDArray[Any]:
+        """Return those values of a band that are data, by nodata value and alpha band."""
+        values, alpha = self.of(band), alpha_band(raster)
+        empty = is_nodata(values, raster.nodata[band - 1])
+        return values[~empty & (self.of(alpha) > 0)] if alpha is not None else values[~empty]
+
 
 def take_sample(raster: Raster) -> Sample:
     """Read a lattice of small windows of a raster."""
@@ -263,8 +269,7 @@ def _picture(raster: Raster, bands: list[int]) -> Kind:
 def _one_band(raster: Raster, band: int, sample: Sample) -> Kind:
     dtype = np.dtype(raster.dtypes[band - 1])
     told = quantity(raster, band)
-    values = sample.of(band)
-    values = values[~is_nodata(values, raster.nodata[band - 1])]
+    values = sample.valid(raster, band)
     if dtype == np.uint8:
         return _bytes(raster, values, told)
     if told is not None:

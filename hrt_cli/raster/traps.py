@@ -5,12 +5,15 @@ Facts about the programs: OpenDroneMap's sources (OdmOrthoPhoto.cpp, opendm/), P
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from rasterio.crs import CRS
 
-from hrt_cli.raster.gate import Raster, is_nodata
+from hrt_cli.raster.gate import Raster
 from hrt_cli.raster.grid import Grid
 from hrt_cli.raster.mosaic import UNTEXTURED
 from hrt_cli.raster.recognise import MEASURED_NODATA, Kind, Maker, Sample, alpha_band, data_bands
@@ -36,11 +39,11 @@ def traps(raster: Raster, grid: Grid | None, sample: Sample, kind: Kind, maker: 
     """
     notes = [*_alpha(raster, sample), *_undeclared_alpha(raster, sample), *_untextured(raster, sample)]
     notes += _margin(raster, kind, maker)
-    notes += _thermal(raster, kind, maker)
+    notes += _thermal(raster, sample, kind, maker)
     notes += _undeclared_nodata(raster, sample)
     notes += _scaled(raster)
     if grid is not None and grid.crs is not None:
-        notes += _crs(grid, grid.crs, kind)
+        notes += _crs(raster, grid, grid.crs, kind)
     if kind.name in MODELS:
         notes += _model(raster, grid)
     if max(raster.grid.shape) > _LARGE_PX and not raster.overviews:
@@ -131,7 +134,7 @@ def _transparent(path: Path) -> str:
     return f"{beside.name}, which lies beside it" if beside.is_file() else "its *_transparent_mosaic_*.tif"
 
 
-def _thermal(raster: Raster, kind: Kind, maker: Maker) -> list[str]:
+def _thermal(raster: Raster, sample: Sample, kind: Kind, maker: Maker) -> list[str]:
     pictured = "thermal" in kind.because and kind.name == "orthomosaic"
     if kind.name != "thermal orthomosaic" and not pictured and "thermal" not in raster.path.stem.lower():
         return []
@@ -142,19 +145,33 @@ def _thermal(raster: Raster, kind: Kind, maker: Maker) -> list[str]:
         ]
     if pictured:
         return ["it is a picture of temperatures, not temperatures: hotter need not be brighter in it"]
-    return [
-        "whether its values are degrees Celsius, Kelvin or hundredths of Kelvin is not known for certain: look at a "
-        "place of known temperature before you set limits to --interest"
-    ]
+    described = f"{raster.descriptions[0]} {raster.units[0]}".lower()
+    if any(unit in described for unit in ("celsius", "degc", "kelvin")):
+        return []
+    return [f"nothing declares the unit of its values; {_guess(sample.valid(raster, data_bands(raster)[0]))}"]
+
+
+def _guess(values: NDArray[Any]) -> str:
+    """Say in which unit temperatures [n] seem to be."""
+    middle = float(np.median(values)) if values.size else math.nan
+    for low, high, unit, celsius in (
+        (-40, 150, "degrees Celsius", middle),
+        (200, 400, "Kelvin", middle - 273.15),
+        (20_000, 40_000, "hundredths of Kelvin", middle / 100 - 273.15),
+    ):
+        if low <= middle <= high:
+            return (
+                f"their median, {middle:.6g}, speaks for {unit} (then {celsius:.1f} degrees Celsius): make sure of it"
+            )
+    return f"their median, {middle:.6g}, is no temperature in degrees Celsius, Kelvin or hundredths of Kelvin"
 
 
 def _undeclared_nodata(raster: Raster, sample: Sample) -> list[str]:
     notes = []
     for band in data_bands(raster):
-        values = sample.of(band)
-        if np.dtype(raster.dtypes[band - 1]).kind == "u" or not values.size:
+        if np.dtype(raster.dtypes[band - 1]).kind == "u":
             continue
-        values = values[~is_nodata(values, raster.nodata[band - 1])]
+        values = sample.valid(raster, band) if band in sample.bands else np.empty(0)
         for value in MEASURED_NODATA:
             share = float((values == value).mean()) if values.size else 0.0
             if share > _FEW:
@@ -176,7 +193,7 @@ def _scaled(raster: Raster) -> list[str]:
     ]
 
 
-def _crs(grid: Grid, crs: CRS, kind: Kind) -> list[str]:
+def _crs(raster: Raster, grid: Grid, crs: CRS, kind: Kind) -> list[str]:
     notes = []
     row_m, col_m = grid.pixel_m
     if crs.is_geographic:
@@ -188,7 +205,7 @@ def _crs(grid: Grid, crs: CRS, kind: Kind) -> list[str]:
             f"its coordinates are in {crs.linear_units}; hrt measures on the ground, where a pixel is {col_m:.4g} x "
             f"{row_m:.4g} m"
         )
-        if kind.name in MODELS:
+        if kind.name in MODELS and not any(raster.units):
             notes.append(f"its heights may be in {crs.linear_units} too; hrt expects metres")
     if _is_compound(crs):
         notes.append("its CRS is a compound one: hrt places it by the horizontal part, and takes heights as they are")
