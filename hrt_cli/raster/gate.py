@@ -107,6 +107,10 @@ class Raster:
         Its geometry, found measurable (or pixel coordinates, where it was opened unreferenced).
     count, dtypes, nodata : int, tuple of str, tuple of float or None
         As the file declares them (`nodata` per band; the user's `--nodata` in its place if given).
+    units, descriptions : tuple of str
+        What the file says of its bands, "" where it says nothing.
+    scales, offsets : tuple of float
+        A band's values are meant to be those read times its scale plus its offset; `read_bands` does not apply them.
     notes : list of str
         What the user ought to know though it was no reason to refuse.
     """
@@ -118,6 +122,10 @@ class Raster:
         self.count: int = dataset.count
         self.dtypes: tuple[str, ...] = dataset.dtypes
         self.nodata: tuple[float | None, ...] = dataset.nodatavals if nodata is None else (nodata,) * dataset.count
+        self.units: tuple[str, ...] = tuple(unit or "" for unit in dataset.units)
+        self.descriptions: tuple[str, ...] = tuple(text or "" for text in dataset.descriptions)
+        self.scales: tuple[float, ...] = dataset.scales
+        self.offsets: tuple[float, ...] = dataset.offsets
         self.driver: str = dataset.driver
         self.colours: tuple[ColorInterp, ...] = dataset.colorinterp
         self.block_shape: tuple[int, int] = dataset.block_shapes[0]
