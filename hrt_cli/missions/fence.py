@@ -29,6 +29,9 @@ class Fence:
     keep_out: tuple[Ring, ...] = ()
 
 
+NO_FENCE = Fence()
+
+
 def fence_of(lonlat: Sequence[tuple[float, float]], aoi: Aoi | None, keep_outs: Sequence[Aoi]) -> Fence:
     """Check every leg of a mission against the areas, and return them as a geofence.
 

@@ -17,7 +17,7 @@ from rasterio.errors import CRSError
 
 from hrt_cli.artifacts.plan import Cell, PlanDocument
 from hrt_cli.errors import ArgumentError
-from hrt_cli.missions.fence import Fence
+from hrt_cli.missions.fence import NO_FENCE, Fence
 from hrt_cli.missions.local import FrameKind, LocalFrame
 from hrt_cli.missions.simplify import Bools, passed_by, simplified, visited
 from hrt_cli.raster.grid import WGS84, lonlat_length_m, transform_points
@@ -92,7 +92,7 @@ class MissionOptions:
     frame : {"utm", "enu"}
         Local frame of the formats in metres.
     datum : (float, float), optional
-        Its origin, WGS 84 longitude and latitude; the first corner (south-west, north up) of the plan's grid where None.
+        Its origin, WGS 84 longitude and latitude; the south-west corner of the plan's grid where None.
 
     Raises
     ------
@@ -129,7 +129,9 @@ class MissionOptions:
             if self.vehicle != "submarine" or self.altitude_m:
                 raise ArgumentError("a height above the bottom is for a submarine, in place of an altitude or a depth")
             if not 0 < self.above_bottom_m <= MAX_ALTITUDE_M:
-                raise ArgumentError(f"height {self.above_bottom_m:g} m above the bottom is not in 0..{MAX_ALTITUDE_M:g}")
+                raise ArgumentError(
+                    f"height {self.above_bottom_m:g} m above the bottom is not in 0..{MAX_ALTITUDE_M:g}"
+                )
         if not 0 <= self.tolerance_m < math.inf:
             raise ArgumentError(f"tolerance {self.tolerance_m:g} m is no length")
         if self.spacing_m is not None and not MIN_SPACING_M <= self.spacing_m < math.inf:
@@ -165,7 +167,7 @@ class Mission:
     length_m: float
     time_s: float
     passed_by: int = 0
-    fence: Fence = Fence()
+    fence: Fence = NO_FENCE
 
     @property
     def points(self) -> tuple[Position, ...]:

@@ -16,7 +16,7 @@ from hrt_cli.artifacts.provenance import file_sha256
 from hrt_cli.artifacts.publish import check_target, publishing, publishing_folder
 from hrt_cli.artifacts.stage import REFUSE, Existing, freshen
 from hrt_cli.errors import ArgumentError, InputError, OutputError
-from hrt_cli.missions.fence import Fence, fence_of
+from hrt_cli.missions.fence import NO_FENCE, fence_of
 from hrt_cli.missions.formats import Format, format_for, require_room
 from hrt_cli.missions.mission import Mission, MissionOptions, mission_of
 from hrt_cli.missions.simplify import Bools
@@ -184,8 +184,10 @@ def _notes(target: Format, missions: Sequence[Mission]) -> list[str]:
     missed = sum(mission.passed_by for mission in missions)
     if missed:
         notes.append(f"{missed} cells of the plan are passed within the tolerance, not entered")
-    if target.name != "qgc" and any(mission.fence != Fence() for mission in missions):
-        notes.append(f"{target.name} holds no geofence: the areas were only checked; export a .plan to have them loaded")
+    if target.name != "qgc" and any(mission.fence != NO_FENCE for mission in missions):
+        notes.append(
+            f"{target.name} holds no geofence: the areas were only checked; export a .plan to have them loaded"
+        )
     return notes
 
 

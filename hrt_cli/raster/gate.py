@@ -107,8 +107,10 @@ class Raster:
         Its geometry, found measurable (or pixel coordinates, where it was opened unreferenced).
     count, dtypes, nodata : int, tuple of str, tuple of float or None
         As the file declares them (`nodata` per band; the user's `--nodata` in its place if given).
-    descriptions, units, scales : tuple of str or None, tuple of str or None, tuple of (float, float)
-        What each band is said to hold, in what unit, and by what scale and offset; pixels are read without these.
+    units, descriptions : tuple of str
+        What the file says of its bands, "" where it says nothing.
+    scales, offsets : tuple of float
+        A band's values are meant to be those read times its scale plus its offset; `read_bands` does not apply them.
     lossy : bool
         Whether the pixels (of a VRT, those of its first part) are compressed with loss, an alpha band among them.
     notes : list of str
@@ -122,13 +124,14 @@ class Raster:
         self.count: int = dataset.count
         self.dtypes: tuple[str, ...] = dataset.dtypes
         self.nodata: tuple[float | None, ...] = dataset.nodatavals if nodata is None else (nodata,) * dataset.count
+        self.units: tuple[str, ...] = tuple(unit or "" for unit in dataset.units)
+        self.descriptions: tuple[str, ...] = tuple(text or "" for text in dataset.descriptions)
+        self.scales: tuple[float, ...] = dataset.scales
+        self.offsets: tuple[float, ...] = dataset.offsets
         self.driver: str = dataset.driver
         self.colours: tuple[ColorInterp, ...] = dataset.colorinterp
         self.block_shape: tuple[int, int] = dataset.block_shapes[0]
         self.compression: str = str(dataset.profile.get("compress", "none"))
-        self.descriptions: tuple[str | None, ...] = dataset.descriptions
-        self.units: tuple[str | None, ...] = dataset.units
-        self.scales = tuple(zip(dataset.scales, dataset.offsets, strict=True))
         self.lossy = _is_lossy(dataset) or any(map(_is_lossy_part, [p for p in parts if p.suffix != ".vrt"][:1]))
         self.overviews: list[int] = dataset.overviews(1)
         self.tags: dict[str, str] = dataset.tags()

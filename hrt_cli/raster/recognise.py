@@ -179,7 +179,7 @@ def what_it_is(raster: Raster, sample: Sample) -> Kind:
 
 def quantity(raster: Raster, band: int) -> tuple[Quantity, str] | None:
     """Return what a raster says that a band (1-based) holds, and where: in unit, description, name or folder."""
-    unit, description = raster.units[band - 1] or "", raster.descriptions[band - 1] or ""
+    unit, description = raster.units[band - 1], raster.descriptions[band - 1]
     if unit.strip().lower() in _UNITS:
         return _UNITS[unit.strip().lower()], f"its unit is {unit}"
     for text, where in ((description, f"its band is called {description!r}"), (raster.path.stem, "its name says so")):

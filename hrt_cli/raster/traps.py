@@ -183,13 +183,14 @@ def _undeclared_nodata(raster: Raster, sample: Sample) -> list[str]:
 
 
 def _scaled(raster: Raster) -> list[str]:
-    scaled = [band for band in data_bands(raster) if raster.scales[band - 1] != (1.0, 0.0)]
+    meant = ((raster.scales[band - 1], raster.offsets[band - 1]) for band in data_bands(raster))
+    scaled = [each for each in meant if each != (1.0, 0.0)]
     if not scaled:
         return []
-    scale, offset = raster.scales[scaled[0] - 1]
+    scale, offset = scaled[0]
     return [
-        f"it declares a scale of {scale:g} and an offset of {offset:g}, which hrt does not apply: "
-        "gdal_translate -unscale -ot Float32 does"
+        f"it declares a scale of {scale:g} and an offset of {offset:g}, which hrt applies to the heights and the "
+        "temperatures of a scoremap and nowhere else: gdal_translate -unscale -ot Float32 does once and for all"
     ]
 
 
@@ -219,7 +220,7 @@ def _is_compound(crs: CRS) -> bool:
 def _model(raster: Raster, grid: Grid | None) -> list[str]:
     notes = []
     band = data_bands(raster)[0]
-    unit = (raster.units[band - 1] or "").lower()
+    unit = raster.units[band - 1].lower()
     if any(name in unit for name in ("ft", "foot", "feet")):
         notes.append(f"its heights are in {raster.units[band - 1]}; hrt expects metres: gdal_calc.py can convert them")
     if grid is not None and grid.crs is not None and max(grid.pixel_m) > _COARSE_M * _ABOUT:
