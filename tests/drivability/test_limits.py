@@ -251,7 +251,7 @@ class TestStage:
         again, _ = make(site, tmp_path / "s.tif", limits, existing=Existing())
         assert again.up_to_date
         assert (again.aoi_cells, again.keep_out_cells) == (done.aoi_cells, done.keep_out_cells)
-        assert again.limit_notes == done.limit_notes == [f"{limits.keep_out[1]}: lies outside {site}"]
+        assert again.notes == done.notes == [f"{limits.keep_out[1]}: lies outside {site}"]
 
     def test_the_files_are_inputs(self, site: Path, tmp_path: Path) -> None:
         aoi, keep_out = drawn(tmp_path, "aoi", box(6)), drawn(tmp_path, "k", box(1), "kml")
