@@ -129,17 +129,17 @@ def make_scoremap(
     unknown: list[int] = []
     if job.up_to_date:
         scoremap = read_scoremap(output)
-        placed = place_limits(limits, scoremap.grid, classes_path)
+        placed = place_limits(limits, margin_m, scoremap.grid, classes_path)
     else:
         with open_classes(classes_path) as classes:
-            placed = place_limits(limits, classes.grid.coarse(cell_m), classes_path)
+            placed = place_limits(limits, margin_m, classes.grid.coarse(cell_m), classes_path)
             covered = cover(classes.grid, classes.read, cell_m, progress)
         table = _scores_for(covered, scores, classes_path, scores_path, unknown_as_prior)
         unknown = [k for k in covered.classes if k not in scores]
         score, sd = score_cells(covered, table, explore, no_go_below, no_go_share, margin_m)
         if np.isnan(score).all():
             raise InputError(classes_path, "gives no cell that may be entered: all are nodata or below --no-go-below")
-        scoremap, tags = placed.bar(Scoremap(score, sd, covered.grid, cell_m), margin_m, classes_path)
+        scoremap, tags = placed.bar(Scoremap(score, sd, covered.grid, cell_m), classes_path)
         if interest:
             scoremap, more = _with_interest(scoremap, interest)
             tags |= more
