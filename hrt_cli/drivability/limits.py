@@ -64,6 +64,8 @@ class PlacedLimits:
     Attributes
     ----------
     limits : Limits
+    margin_m : float
+        How far to keep away from their edges.
     aoi : PixelArea or None
     keep_out : list of PixelArea
     notes : list of str
@@ -71,11 +73,12 @@ class PlacedLimits:
     """
 
     limits: Limits
+    margin_m: float
     aoi: PixelArea | None
     keep_out: list[PixelArea]
     notes: list[str]
 
-    def bar(self, scoremap: Scoremap, margin_m: float, raster: Path) -> tuple[Scoremap, dict[str, Any]]:
+    def bar(self, scoremap: Scoremap, raster: Path) -> tuple[Scoremap, dict[str, Any]]:
         """Return the map with its no-go cells, and as tags how many cells to go each limit took.
 
         A cell that lies outside the area of interest and in a keep-out counts as taken by the area. `raster` is for the
@@ -88,11 +91,11 @@ class PlacedLimits:
         """
         go = np.isfinite(scoremap.score)
         taken = dict.fromkeys(self.limits.counts(), 0)
-        for name, path, barred in self._barred(_reach_px(scoremap.grid, margin_m)):
+        for name, path, barred in self._barred(_reach_px(scoremap.grid, self.margin_m)):
             taken[name] += int((go & barred).sum())
             go &= ~barred
             if not go.any():
-                within = f", {margin_m:g} m of --margin included" if margin_m else ""
+                within = f", {self.margin_m:g} m of --margin included" if self.margin_m else ""
                 what = "lies wholly in it" if name == AOI_CELLS else "keeps clear of it"
                 raise InputError(path, f"leaves nowhere to go on {raster}: no cell that may be entered {what}{within}")
         score, sd = (np.where(go, plain, np.float32(np.nan)) for plain in (scoremap.score, scoremap.sd))
@@ -105,7 +108,7 @@ class PlacedLimits:
             yield KEEP_OUT_CELLS, path, area.touched(reach_px)
 
 
-def place_limits(limits: Limits, grid: Grid, raster: Path) -> PlacedLimits:
+def place_limits(limits: Limits, margin_m: float, grid: Grid, raster: Path) -> PlacedLimits:
     """Read the files and place them on the cells of a map made of `raster`.
 
     A keep-out that lies outside the map is told of, as it may be meant for another.
@@ -116,10 +119,11 @@ def place_limits(limits: Limits, grid: Grid, raster: Path) -> PlacedLimits:
         A file is no area (see `read_aoi`), the map has no CRS, or the area of interest lies outside it.
     """
     if limits == NO_LIMITS:
-        return PlacedLimits(limits, None, [], [])
+        return PlacedLimits(limits, margin_m, None, [], [])
     # Imported here: most maps have no limits.
     from hrt_cli.raster.aoi import read_aoi
 
+    reach_px = _reach_px(grid, margin_m)
     notes: list[str] = []
 
     def read(path: Path) -> Aoi:
@@ -127,14 +131,14 @@ def place_limits(limits: Limits, grid: Grid, raster: Path) -> PlacedLimits:
         notes.extend(f"{path}: {note}" for note in drawn.notes)
         return drawn
 
-    aoi = read(limits.aoi).require_on(grid, raster) if limits.aoi else None
+    aoi = read(limits.aoi).require_on(grid, raster, reach_px) if limits.aoi else None
     keep_out = []
     for drawn in map(read, limits.keep_out):
-        keep_out.append(drawn.on(grid))
+        keep_out.append(drawn.on(grid, reach_px))
         if keep_out[-1].misses_grid:
             why = drawn.why_it_misses(grid)
             notes.append(f"{drawn.path}: lies outside {raster}" + (f" ({why})" if why else ""))
-    return PlacedLimits(limits, aoi, keep_out, notes)
+    return PlacedLimits(limits, margin_m, aoi, keep_out, notes)
 
 
 def taken_by(limits: Limits, path: Path) -> dict[str, int]:

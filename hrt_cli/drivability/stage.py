@@ -157,10 +157,10 @@ def make_scoremap(
     unknown: list[int] = []
     if job.up_to_date:
         scoremap = read_scoremap(output)
-        placed = place_limits(limits, scoremap.grid, classes_path)
+        placed = place_limits(limits, margin_m, scoremap.grid, classes_path)
     else:
         with open_classes(classes_path) as classes:
-            placed = place_limits(limits, classes.grid.coarse(cell_m), classes_path)
+            placed = place_limits(limits, margin_m, classes.grid.coarse(cell_m), classes_path)
             covered = cover(classes.grid, classes.read, cell_m, progress)
         table = _scores_for(covered, scores, classes_path, scores_path, unknown_as_prior)
         unknown = [k for k in covered.classes if k not in scores]
@@ -171,7 +171,7 @@ def make_scoremap(
             beyond = ", or steep or rough by --dsm" if relief else ""
             what = f"gives no cell that may be entered: all are nodata or below --no-go-below{beyond}"
             raise InputError(classes_path, what)
-        scoremap, tags = placed.bar(Scoremap(score, sd, covered.grid, cell_m), margin_m, classes_path)
+        scoremap, tags = placed.bar(Scoremap(score, sd, covered.grid, cell_m), classes_path)
         if relief and ground:
             tags |= relief_tags(relief, ground, covered, np.isfinite(scoremap.score))
         if interest:

@@ -55,11 +55,11 @@ class Aoi:
     shape: Any
     notes: tuple[str, ...] = ()
 
-    def on(self, grid: Grid) -> PixelArea:
+    def on(self, grid: Grid, reach_px: float = 0.0) -> PixelArea:
         """Place the area on a georeferenced grid, which it may miss.
 
         Edges that are straight in the file's coordinates are followed to a hundredth of a pixel: each is halved
-        until its middle lies there. What lies far outside the grid is cut off first.
+        until its middle lies there. What lies far outside the grid, and further than `reach_px`, is cut off first.
 
         Raises
         ------
@@ -67,7 +67,7 @@ class Aoi:
             The grid has no CRS, or a position has no place in it.
         """
         try:
-            box = self._surroundings(grid)
+            box = self._surroundings(grid, reach_px)
             # Short edges to begin with: of a long one that bends both ways the middle may lie on the straight line.
             near = shapely.segmentize(self._turned(box.bounds).intersection(box), box.length / _FIRST_EDGES)
             crs = _crs_of(grid)
@@ -82,7 +82,7 @@ class Aoi:
         except ValueError as error:
             raise InputError(self.path, f"cannot be placed on the raster, which {error}") from error
 
-    def require_on(self, grid: Grid, raster: str | os.PathLike[str]) -> PixelArea:
+    def require_on(self, grid: Grid, raster: str | os.PathLike[str], reach_px: float = 0.0) -> PixelArea:
         """Place the area as `on`, and refuse it where it misses the grid (`raster` is for the message).
 
         Raises
@@ -90,7 +90,7 @@ class Aoi:
         InputError
             As `on`, and where no part of the area lies on the grid.
         """
-        area = self.on(grid)
+        area = self.on(grid, reach_px)
         if area.misses_grid:
             raise InputError(self.path, f"lies outside {os.fspath(raster)}", self.why_it_misses(grid))
         return area
@@ -172,13 +172,15 @@ class Aoi:
         shapely.prepare(shape)
         return pieces, np.searchsorted(leg[:-1], np.arange(len(points) - 1)), shape
 
-    def _surroundings(self, grid: Grid) -> Any:
-        """Return a box in the file's CRS that holds the grid and as much again on each side."""
+    def _surroundings(self, grid: Grid, reach_px: float = 0.0) -> Any:
+        """Return a box in the file's CRS that holds the grid, and as much again and a reach on each side."""
         down, along = np.linspace(0, grid.rows, _OUTLINE_POINTS), np.linspace(0, grid.cols, _OUTLINE_POINTS)
         x, y = transform_points(_crs_of(grid), self.crs, *grid.xy(*map(np.ravel, np.meshgrid(down, along))))
         if self.crs.is_geographic:
             x = _near(x, x[0])
-        width, height = np.ptp(x), np.ptp(y)
+        # However the grid is turned, it is at least as long along either axis as its shorter side.
+        sides = 1 + reach_px / min(grid.shape)
+        width, height = np.ptp(x) * sides, np.ptp(y) * sides
         low, high = x.min() - width, x.max() + width
         if self.crs.is_geographic and high - low > _TURN_DEG:
             low, high = (low + high - _TURN_DEG) / 2, (low + high + _TURN_DEG) / 2

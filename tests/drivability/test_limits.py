@@ -361,3 +361,14 @@ def test_a_margin_is_measured_on_the_ground(tmp_path: Path) -> None:
     assert barred[away <= 4.0].all()
     assert not barred[away > 4.15].any()
     assert barred.sum() * 0.25 == pytest.approx(math.pi * 4.6**2, rel=0.15)
+
+
+def test_a_margin_wider_than_the_map_reaches_as_far_as_any_other(tmp_path: Path) -> None:
+    site, keep_out = classes_on(tmp_path, "turned"), drawn(tmp_path, "k", box(1, 80))
+    _, found = make(site, tmp_path / "s.tif", Limits(None, (keep_out,)), margin_m=80.0)
+    away = shapely.distance(cells_of(found.grid), box(1, 80))
+    assert np.isnan(found.score)[away <= 80].all()
+    assert np.isfinite(found.score)[away > 82].all()
+    assert np.isfinite(found.score).any()
+    done, _ = make(site, tmp_path / "t.tif", Limits(drawn(tmp_path, "a", box(2000))), margin_m=1900.0)
+    assert done.aoi_cells == 0

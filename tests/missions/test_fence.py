@@ -49,9 +49,7 @@ def test_the_areas_become_polygons_without_holes(plan: tuple[PlanDocument, Path]
     hole = box_on(document, (1.5, 3.5), (1.5, 3.5))  # inside the square that the robot drives round
     elsewhere = box_on(document, (20, 30), (20, 30))
     aoi = put(tmp_path / "aoi.geojson", [outer, hole], [elsewhere])
-    ring = put(
-        tmp_path / "ring.geojson", [box_on(document, (-9, 14), (-9, 14)), box_on(document, (-2, 7), (-2, 7))]
-    )
+    ring = put(tmp_path / "ring.geojson", [box_on(document, (-9, 14), (-9, 14)), box_on(document, (-2, 7), (-2, 7))])
     out = tmp_path / "m.plan"
     export_missions(path, out, MissionOptions(), aoi_path=aoi, keep_out_paths=[ring])
     found = polygons_in(out)

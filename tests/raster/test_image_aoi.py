@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 from affine import Affine
+from pyproj import Transformer
 from raster_files import PLACE, UTM33, patches, write_raster
 
 from hrt_cli.errors import InputError
@@ -125,3 +126,24 @@ def test_a_plain_image_has_no_place_for_an_area(tmp_path: Path) -> None:
         open_orthomosaic([path], unreferenced=True, aoi=aoi),
     ):
         pass
+
+
+def test_an_area_in_kml_clips_as_one_in_geojson_and_its_notes_are_told(tmp_path: Path) -> None:
+    path = write_raster(tmp_path / "a.tif", patches(ROWS, COLS))
+    to_earth = Transformer.from_crs(UTM33, "OGC:CRS84", always_xy=True)
+    ring = [to_earth.transform(*(PLACE @ (col, row))) for row, col in [*TRIANGLE, TRIANGLE[0]]]
+    kml = tmp_path / "area.kml"
+    kml.write_text(
+        "<kml><Document><Placemark><Point/></Placemark><Placemark><Polygon><outerBoundaryIs><LinearRing><coordinates>"
+        + " ".join(f"{lon!r},{lat!r}" for lon, lat in ring)
+        + "</coordinates></LinearRing></outerBoundaryIs></Polygon></Placemark></Document></kml>"
+    )
+    whole = Window(0, 0, ROWS, COLS)
+    with open_orthomosaic([path], aoi=draw(tmp_path, TRIANGLE)) as same, open_orthomosaic([path], aoi=kml) as image:
+        assert image.grid == same.grid
+        for one, other in zip(image.read(whole), same.read(whole), strict=True):
+            np.testing.assert_array_equal(one, other)
+        assert image.notes == [
+            *same.notes,
+            f"of the area {kml}: placemarks that are points, or hold no shape, are passed over: 1",
+        ]
