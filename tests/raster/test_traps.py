@@ -60,6 +60,11 @@ class TestAlpha:
         assert "like an alpha band" not in found
         assert "band 4 is not declared as alpha and is not used" in found
 
+    def test_nor_is_one_of_three_values_an_alpha_band(self, tmp_path: Path) -> None:
+        steps = np.repeat(np.array([0, 128, 255], np.uint8), 32) * np.ones((1, 96, 1), np.uint8)
+        found = notes(write_raster(tmp_path / "a.tif", np.concatenate([patches(), steps]), colours=NOT_ALPHA))
+        assert "like an alpha band" not in found
+
     def test_opaque_pixels_without_texture(self, tmp_path: Path) -> None:
         path = odm(tmp_path / "a.tif", "float32")
         assert "no texture" not in notes(path)

@@ -53,8 +53,11 @@ class TestWhatIsNoPicture:
         grey = (patches()[0] / 255).astype(np.float32)
         assert (classes(write_raster(tmp_path / "red.tif", grey, nodata=nodata)) != 255).any()
 
-    def test_real_values_that_nothing_explains_are_taken_with_a_note(self, tmp_path: Path) -> None:
-        path = write_raster(tmp_path / "a.tif", patches()[0].astype(np.float32))
+    @pytest.mark.parametrize("nodata", [None, 0.0])
+    def test_real_values_that_nothing_explains_are_taken_with_a_note(
+        self, tmp_path: Path, nodata: float | None
+    ) -> None:
+        path = write_raster(tmp_path / "a.tif", patches()[0].astype(np.float32), nodata=nodata)
         done = segment_file([path], tmp_path / "classes.tif", Wanted(SegmentSpec(4)))
         assert any("heights belong to --dsm, temperatures to --interest" in note for note in done.notes)
 
