@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 
 from hrt_cli.artifacts.plan import Cell
 from hrt_cli.missions.local import LocalFrame
+from hrt_cli.missions.mission import fixed
 from hrt_cli.raster.gather import places
 from hrt_cli.raster.grid import Grid, transform_points
 from hrt_cli.raster.scoremap import Scoremap
@@ -139,7 +140,7 @@ def _ringed(grid: Grid) -> Grid:
 
 def _map_files(name: str, values: Bytes, grid: Grid, notes: list[str]) -> dict[str, bytes]:
     cell_m, west, top = grid.transform.a, grid.transform.c, grid.transform.f
-    corner = ", ".join(f"{value:.{_METRE_DECIMALS}f}" for value in (west + 0.0, top - grid.rows * cell_m + 0.0, 0.0))
+    corner = ", ".join(fixed(value, _METRE_DECIMALS) for value in (west, top - grid.rows * cell_m, 0.0))
     comments = "".join(f"# {note}\n" for note in notes)
     text = f"""{comments}image: {name}.pgm
 mode: raw
