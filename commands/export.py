@@ -82,6 +82,14 @@ Example:
     type=opt.PATH,
     help="The plan's scoremap: straight ways may lead through all of its open cells, and Nav2 gets it as maps.",
 )
+@click.option("--aoi", "aoi_path", type=opt.PATH, help="Area that no leg may leave (GeoJSON, KML): a .plan's geofence.")
+@click.option(
+    "--keep-out",
+    "keep_outs",
+    type=opt.PATH,
+    multiple=True,
+    help="Area that no leg may enter: a .plan's geofence. May be repeated.",
+)
 @click.option(
     "--local-frame",
     "frame",
@@ -108,6 +116,8 @@ def export(
     spacing_m: float | None,
     max_items: int | None,
     scoremap_path: Path | None,
+    aoi_path: Path | None,
+    keep_outs: tuple[Path, ...],
     frame: Literal["utm", "enu"],
     datum: tuple[float, float] | None,
     existing: Existing,
@@ -139,7 +149,14 @@ def export(
         datum=datum,
     )
     done = export_missions(
-        plan, output, options, format_name=format_name, scoremap_path=scoremap_path, existing=existing
+        plan,
+        output,
+        options,
+        format_name=format_name,
+        scoremap_path=scoremap_path,
+        aoi_path=aoi_path,
+        keep_out_paths=keep_outs,
+        existing=existing,
     )
     for note in done.notes:
         console.note(f"Note: {note}")

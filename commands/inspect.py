@@ -1,14 +1,18 @@
-"""`hrt inspect`: what is in a raster, and will it work."""
+"""`hrt inspect`: what is in a raster or in a project folder, and will it work."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from hrt_cli import options as opt
 from hrt_cli.progress import Console
+
+if TYPE_CHECKING:
+    from hrt_cli.raster.inspect import Inspection
+    from hrt_cli.raster.project import Project
 
 
 @click.command(
@@ -16,47 +20,125 @@ from hrt_cli.progress import Console
 Example:
   hrt synth site --scene meadow --size 40
   hrt inspect site/ortho.tif
+  hrt inspect site
 """
 )
-@click.argument("raster", type=opt.PATH)
+@click.argument("rasters", type=opt.PATH, nargs=-1, required=True, metavar="RASTER...")
 @opt.bands_opt
 @opt.nodata_opt
 @opt.unreferenced_opt
 @opt.console_options
-def inspect(raster: Path, bands: tuple[int, ...], nodata: float | None, unreferenced: bool, console: Console) -> None:
+def inspect(
+    rasters: tuple[Path, ...], bands: tuple[int, ...], nodata: float | None, unreferenced: bool, console: Console
+) -> None:
     """Tell what is in a raster, whether `segment` will take it, and roughly what that will cost.
+
+    RASTER is a file, several tiles of one orthomosaic, or a folder: of a project of OpenDroneMap or Pix4D, of tiles, or
+    of any rasters. Of a folder all that is found is listed, with the commands to run on it.
 
     Exits with 0 also where `segment` would refuse the raster: the refusal is then part of the answer.
     """
+    folder = len(rasters) == 1 and rasters[0].is_dir()
+    if unreferenced and (folder or len(rasters) > 1):
+        raise click.UsageError("--unreferenced is for one plain image")
+    if bands and folder:
+        raise click.UsageError("--bands is for rasters: name those in the folder")
+    if folder:
+        _print_folder(rasters[0], nodata, console)
+    else:
+        _print_raster(rasters, bands, nodata, unreferenced, console)
+
+
+def _print_raster(
+    rasters: tuple[Path, ...], bands: tuple[int, ...], nodata: float | None, unreferenced: bool, console: Console
+) -> None:
     from hrt_cli.raster.inspect import inspect_raster
+    from hrt_cli.raster.project import inspect_tiles
 
-    found = inspect_raster(raster, bands=bands, nodata=nodata, unreferenced=unreferenced)
-    console.result(
-        "\n".join(_lines(found.facts, found.notes, found.refusal)),
-        {**found.facts, "notes": found.notes, "usable": found.refusal is None, "refusal": found.refusal},
-        only_here=True,
-    )
+    if len(rasters) == 1:
+        found = inspect_raster(rasters[0], bands=bands, nodata=nodata, unreferenced=unreferenced)
+    else:
+        found = inspect_tiles(list(rasters), named=list(rasters), bands=bands, nodata=nodata)
+    console.result("\n".join(_raster_lines(found)), _raster_data(found), only_here=True)
 
 
-def _lines(facts: dict[str, Any], notes: list[str], refusal: str | None) -> list[str]:
+def _print_folder(folder: Path, nodata: float | None, console: Console) -> None:
+    from hrt_cli.raster.project import inspect_folder
+
+    project = inspect_folder(folder, nodata=nodata)
+    data = {
+        "folder": str(folder),
+        "project": project.program,
+        "found": [_raster_data(found) for found in project.found],
+        "commands": project.commands,
+        "notes": project.notes,
+    }
+    console.result("\n".join(_folder_lines(folder, project)), data, only_here=True)
+
+
+def _raster_data(found: Inspection) -> dict[str, Any]:
+    return {**found.facts, "notes": found.notes, "usable": found.refusal is None, "refusal": found.refusal}
+
+
+def _raster_lines(found: Inspection) -> list[str]:
+    facts = found.facts
     colours = ", ".join(f"{d} {c}" for d, c in zip(facts["dtypes"], facts["band_colours"], strict=True))
+    tiles = f"{facts['tiles']} tiles, " if "tiles" in facts else ""
     lines = [
-        f"{facts['file']}: {facts['driver']}, {facts['cols']} x {facts['rows']} pixels ({facts['megapixels']:.1f} Mpx)",
+        f"{facts['file']}: {tiles}{facts['driver']}, {facts['cols']} x {facts['rows']} pixels "
+        f"({facts['megapixels']:.1f} Mpx)",
+        f"  is         {_kind(facts)}: {facts['kind_because']}",
         f"  bands      {facts['bands']}: {colours}; compression {facts['compression']}",
         f"  nodata     {facts['nodata'][0]}; alpha band {facts.get('alpha_band')}; mask {facts['mask']}",
     ]
+    if facts["values"] is not None:
+        low, middle, high = facts["values"]
+        lines.append(f"  values     {low:.6g} to {high:.6g}, median {middle:.6g}")
+    if facts["made_with"] is not None:
+        lines.insert(2, f"  made with  {_maker(facts)}")
     if "pixel_m" in facts:
         row_m, col_m = facts["pixel_m"]
         unit = "m on the ground" if facts["crs"] else "px (unreferenced)"
-        lines += [
-            f"  CRS        {facts['crs']}",
-            f"  pixel      {col_m:.4g} x {row_m:.4g} {unit}",
-            f"  valid      about {facts['valid_share']:.0%}",
-        ]
-    lines += [f"  note       {note}" for note in notes]
-    if refusal is None:
+        lines += [f"  CRS        {facts['crs']}", f"  pixel      {col_m:.4g} x {row_m:.4g} {unit}"]
+    if "valid_share" in facts:
+        lines.append(f"  valid      about {facts['valid_share']:.0%}")
+    lines += [f"  note       {note}" for note in found.notes]
+    lines += [f"  for        {use}" for use in facts["used_by"]]
+    if found.refusal is None:
         cost = f"about {facts['segment_seconds']:.0f} s and {facts['segment_memory_mb']} MB"
         lines.append(f"  segment    would take it: {cost} on one core")
     else:
-        lines.append(f"  segment    would refuse it: {refusal}")
+        lines.append(f"  segment    would refuse it: {found.refusal}")
     return lines
+
+
+def _folder_lines(folder: Path, project: Project) -> list[str]:
+    laid_out = f"a project of {project.program}" if project.program else "a folder of rasters"
+    lines = [f"{folder}: {laid_out}"]
+    for found in project.found:
+        facts = found.facts
+        if "rows" not in facts:
+            lines.append(f"  {facts['path']}: cannot be used: {found.refusal}")
+            continue
+        size = f"{facts['cols']} x {facts['rows']} pixels"
+        if "pixel_m" in facts and facts["crs"]:
+            size += f" of {facts['pixel_m'][1]:.3g} m"
+        tiles = f"{facts['tiles']} tiles of " if "tiles" in facts else ""
+        made = f", made with {_maker(facts)}" if facts["made_with"] else ""
+        lines.append(f"  {facts['path']}: {tiles}{_kind(facts)}, {size}{made}")
+        lines += [f"    note     {note}" for note in found.notes]
+        if found.refusal is not None and facts["kind"] == "orthomosaic":
+            lines.append(f"    segment  would refuse it: {found.refusal}")
+    lines += [f"  note       {note}" for note in project.notes]
+    lines += [f"  run        {command}" for command in project.commands]
+    return lines
+
+
+def _kind(facts: dict[str, Any]) -> str:
+    certainty = facts["kind_certainty"]
+    return str(facts["kind"]) if certainty == "declared" else f"{facts['kind']} ({certainty})"
+
+
+def _maker(facts: dict[str, Any]) -> str:
+    by_name = " (by its name only)" if facts["made_with_by"] == "name" else ""
+    return f"{facts['made_with']}{by_name}"

@@ -19,6 +19,7 @@ Example:
   hrt synth site --scene meadow --size 40
   hrt segment site/ortho.tif -o site/classes.tif --classes 5
   hrt scoremap site/classes.tif -o site/scoremap.tif --cell 1.0
+  hrt scoremap site/classes.tif -o site/inside.tif --cell 0.5 --aoi site/aoi.geojson --margin 1
 """
 )
 @click.argument("classes", type=opt.PATH)
@@ -49,7 +50,14 @@ Example:
     "--margin",
     "margin_m",
     type=opt.FiniteFloat(0),
-    help="With --no-go-below: no-go are also cells so near to such cells, m; the borders of classes are not sharp.",
+    help="No-go are also cells so near, m, to those of --no-go-below, as the borders of classes are not sharp, to a "
+    "--keep-out and to the edge of the --aoi.",
+)
+@click.option(
+    "--aoi", type=opt.PATH, help="No-go are cells not wholly inside the polygons of this GeoJSON or KML file."
+)
+@click.option(
+    "--keep-out", type=opt.PATH, multiple=True, help="No-go are cells that its polygons touch. May be repeated."
 )
 @click.option("--interest", "interest_path", type=opt.PATH, help="Raster of what the mission looks for, as heat.")
 @click.option(
@@ -62,6 +70,29 @@ Example:
     "--interest-weight",
     type=opt.FiniteFloat(0, 1, low_open=True),
     help="How much of the score depends on it, up to 1. Default: 1.",
+)
+@click.option(
+    "--interest-radius",
+    "interest_radius_m",
+    type=opt.FiniteFloat(0, low_open=True),
+    help="From how far a cell is sampled, m: a hot spot counts at the nearest cell to go. Default: from within.",
+)
+@click.option(
+    "--thermal-units",
+    type=click.Choice(["celsius", "kelvin", "centikelvin", "auto"]),
+    help="What --interest is in: values and --interest-range are then degrees Celsius; auto takes what is certain.",
+)
+@click.option("--dsm", "dsm_path", type=opt.PATH, help="Surface model, heights in metres: steep and rough ground.")
+@click.option(
+    "--slope-limit",
+    "slope_limit_deg",
+    type=opt.FiniteFloat(0, 90, low_open=True),
+    help="With --dsm: slope, degrees, from which a cell is no-go. Default: 35.",
+)
+@click.option(
+    "--rugosity-limit",
+    type=opt.FiniteFloat(0, 1, low_open=True),
+    help="With --dsm: Vector Ruggedness Measure from which a cell is no-go. Default: 0.1.",
 )
 @opt.creation_opt
 @opt.figure_opt
@@ -78,10 +109,17 @@ def scoremap(
     no_go_below: float | None,
     no_go_share: float | None,
     margin_m: float | None,
+    aoi: Path | None,
+    keep_out: tuple[Path, ...],
     interest_path: Path | None,
     interest_range: tuple[float, float] | None,
     interest_cell: Literal["max", "mean"] | None,
     interest_weight: float | None,
+    interest_radius_m: float | None,
+    thermal_units: Literal["celsius", "kelvin", "centikelvin", "auto"] | None,
+    dsm_path: Path | None,
+    slope_limit_deg: float | None,
+    rugosity_limit: float | None,
     creation: tuple[tuple[str, str], ...],
     figure: Path | None,
     backdrop: Path | None,
@@ -96,20 +134,40 @@ def scoremap(
 
     With --interest the score is drivability times interest: nothing is gained where nothing is to be found, and
     where the robot may go is decided by drivability alone. Any raster of one band will do, whatever its grid.
+
+    With --dsm the score falls with the slope and the ruggedness of the ground; cells at a limit are no-go.
+
+    With --aoi and --keep-out no walk over the map's cells leaves the area of interest or enters a keep-out.
     """
-    if interest_path is None and (interest_range, interest_cell, interest_weight) != (None, None, None):
-        raise click.UsageError("--interest-range, --interest-cell and --interest-weight are for --interest: give one")
+    of_interest = (interest_range, interest_cell, interest_weight, interest_radius_m, thermal_units)
+    if interest_path is None and any(given is not None for given in of_interest):
+        raise click.UsageError(
+            "--interest-range, --interest-cell, --interest-weight, --interest-radius and --thermal-units "
+            "are for --interest: give one"
+        )
+    if dsm_path is None and (slope_limit_deg, rugosity_limit) != (None, None):
+        raise click.UsageError("--slope-limit and --rugosity-limit are for --dsm: give one")
     from hrt_cli.drivability.interest import Interest
+    from hrt_cli.drivability.limits import Limits
     from hrt_cli.drivability.stage import make_scoremap
+    from hrt_cli.drivability.surface import Relief
 
     if no_go_share is not None and no_go_below is None:
         raise click.UsageError("--no-go-share says how much of a cell --no-go-below may hold for: give both")
-    if margin_m is not None and no_go_below is None:
-        raise click.UsageError("--margin keeps away from what --no-go-below bars: give both")
+    if margin_m is not None and no_go_below is None and aoi is None and not keep_out:
+        raise click.UsageError(
+            "--margin keeps away from what --no-go-below, --keep-out or --aoi bars: give one of these"
+        )
     interest = None
     if interest_path is not None:
         weight = 1.0 if interest_weight is None else interest_weight
-        interest = Interest(interest_path, interest_range, interest_cell or "max", weight)
+        interest = Interest(
+            interest_path, interest_range, interest_cell or "max", weight, thermal_units, interest_radius_m
+        )
+    relief = None
+    if dsm_path is not None:
+        limits = {"slope_limit_deg": slope_limit_deg, "rugosity_limit": rugosity_limit}
+        relief = Relief(dsm_path, **{name: limit for name, limit in limits.items() if limit is not None})
     with console.bar("scoremap") as progress:
         done = make_scoremap(
             classes,
@@ -121,7 +179,9 @@ def scoremap(
             no_go_below=no_go_below,
             no_go_share=1.0 if no_go_share is None else no_go_share,
             margin_m=margin_m or 0.0,
+            limits=Limits(aoi, keep_out),
             interest=interest,
+            relief=relief,
             creation=dict(creation),
             existing=existing,
             progress=progress,
@@ -141,15 +201,25 @@ def scoremap(
             f"Note: {interest_path}: {low:g} counts 0 and {high:g} counts 1, the median and the maximum of the cells "
             "to go; --interest-range sets others"
         )
-    data = {"output": str(output), **asdict(done)}
-    of_interest = ""
-    if done.interest_range is None:
-        del data["interest_range"], data["interest_cells"]
-    else:
-        of_interest = f"{done.interest_cells} of interest, "
+    for note in done.notes:
+        console.note(f"Note: {note}")
+    if done.interest_out_of_reach:
+        console.note(
+            f"Note: {interest_path}: {done.interest_out_of_reach} of its spots of interest are out of reach: farther "
+            f"than {interest_radius_m:g} m from every cell to go"
+        )
+    data = {"output": str(output), **{name: value for name, value in asdict(done).items() if value is not None}}
+    told = {
+        "outside the area of interest": done.aoi_cells,
+        "kept out of": done.keep_out_cells,
+        "steep": done.steep_cells,
+        "rough": done.rough_cells,
+        "of interest": done.interest_cells,
+    }
+    counts = "".join(f"{count} {what}, " for what, count in told.items() if count is not None)
     state = "up to date" if done.up_to_date else f"{done.seconds:.1f} s"
     console.result(
-        f"{output}: {done.rows} x {done.cols} cells of {done.cell_size_m:g} m, {done.go_cells} to go, {of_interest}"
+        f"{output}: {done.rows} x {done.cols} cells of {done.cell_size_m:g} m, {done.go_cells} to go, {counts}"
         f"mean score {done.mean_score:.3f} ({state})",
         data,
     )

@@ -44,7 +44,7 @@ Example:
 )
 @click.option("--scale-invariant", is_flag=True, help="A texture seen larger is the same texture.")
 @click.option("--wavelengths", callback=lambda ctx, param, value: _lengths(value), help="Gabor wavelengths in metres.")
-@click.option("--aoi", type=opt.PATH, help="Clip to the polygons of this GeoJSON file.")
+@click.option("--aoi", type=opt.PATH, help="Clip to the polygons of this GeoJSON or KML file.")
 @opt.bands_opt
 @opt.nodata_opt
 @opt.unreferenced_opt

@@ -98,6 +98,7 @@ rule leg_scoremap:
     input:
         classes=f"{OUT}/classes.tif",
         scores=lambda wildcards: learnt(wildcards.leg),
+        limits=LIMITS,
     output:
         "{leg}/scoremap.tif",
     params:

@@ -56,6 +56,11 @@ class Cover:
         """Ids of the classes that occur."""
         return [int(k) for k in np.flatnonzero(self.counts.any(axis=(1, 2)))]
 
+    @property
+    def seen(self) -> NDArray[np.bool_]:
+        """Cells [rows, cols] of which enough has a class for them to be entered."""
+        return np.asarray(self.counts.sum(axis=0, dtype=np.int64) >= MIN_COVERED * self.pixels_per_cell)
+
 
 def cover(fine: Grid, read: ReadClasses, cell_m: float, progress: Progress = silent) -> Cover:
     """Count class pixels per cell in one pass over the rows of a class raster.
@@ -101,19 +106,21 @@ def score_cells(
     no_go_below: float | None = None,
     no_go_share: float = 1.0,
     margin_m: float = 0.0,
+    ease: NDArray[np.float64] | None = None,
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Return the expected score of each cell and its standard deviation.
 
     The score of a cell is the mean of its classes' expected scores weighted by the ground they cover; with
     independent posteriors its variance is the sum of (share^2 x variance). `explore` B adds B standard deviations
-    to the score (upper confidence bound: Auer 2002), so that what is not known draws the robot.
+    to the score (upper confidence bound: Auer 2002), so that what is not known draws the robot. `ease` [rows, cols],
+    0 to 1, is by what the ground's relief lets it count: expected score and deviation are multiplied by it.
 
     Returns
     -------
     score, sd : float32 [rows, cols]
-        NaN where less than half of the cell has a class; where the expected score (before exploration) is below
-        `no_go_below`; where classes whose expected score is cover more than `no_go_share` of the cell; or where the
-        centre of such a cell is at most `margin_m` away.
+        NaN where less than half of the cell has a class; where `ease` is 0; where the expected score (before
+        exploration) is below `no_go_below`; where classes whose expected score is cover more than `no_go_share` of the
+        cell; or where the centre of such a cell is at most `margin_m` away.
     """
     total = covered.counts.sum(axis=0, dtype=np.int64)
     score = np.zeros(covered.grid.shape)
@@ -125,7 +132,11 @@ def score_cells(
         variance += (share * scores[index].sd) ** 2
         if no_go_below is not None and scores[index].mean < no_go_below:
             barred += share
-    no_go = total < MIN_COVERED * covered.pixels_per_cell
+    no_go = ~covered.seen
+    if ease is not None:
+        score *= ease
+        variance *= ease * ease
+        no_go |= ease <= 0.0
     if no_go_below is not None:
         poor = (score < no_go_below - _ROUNDING) | (barred > no_go_share + _ROUNDING)
         no_go |= _within(poor & ~no_go, margin_m / math.sqrt(math.prod(covered.grid.pixel_m)))

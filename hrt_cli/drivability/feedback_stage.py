@@ -17,7 +17,8 @@ from hrt_cli.artifacts.scores import PRIOR, ClassScore, ScoreTable, read_score_t
 from hrt_cli.artifacts.stage import REFUSE, Existing, begin
 from hrt_cli.drivability.feedback import Ease, Evidence, FeedbackSettings, evidence_of, settled, updated
 from hrt_cli.drivability.footprint import NODATA, Footprints
-from hrt_cli.drivability.terrain import Terrain, eased
+from hrt_cli.drivability.relief import eased
+from hrt_cli.drivability.terrain import Terrain
 from hrt_cli.errors import InputError
 from hrt_cli.progress import Progress, silent
 from hrt_cli.raster.classes import ClassRaster, open_classes
@@ -207,7 +208,7 @@ def _ease(dsm_path: Path | None, grid: Grid, settings: FeedbackSettings) -> Iter
             slope_deg, rugosity_m = terrain.at(row, col)
             if math.isnan(slope_deg):
                 return math.nan
-            return eased(slope_deg, rugosity_m, settings.slope_limit_deg, settings.rugosity_limit_m)
+            return float(eased(slope_deg, rugosity_m, settings.slope_limit_deg, settings.rugosity_limit_m))
 
         yield ease
 

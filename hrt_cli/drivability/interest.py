@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -12,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from rasterio.enums import ColorInterp
 
+from hrt_cli.drivability.thermal import Asked
 from hrt_cli.errors import ArgumentError, InputError
 from hrt_cli.raster.align import Rule, field_on
 from hrt_cli.raster.gate import Raster, open_raster
@@ -36,14 +38,23 @@ class Interest:
         How a cell's value is made of the pixels in it.
     weight : float
         How much of the score depends on the interest, 0 to 1.
+    units : {"celsius", "kelvin", "centikelvin", "auto"} or None
+        What its temperatures are in: they, and `limits`, are then degrees Celsius. None: its values are taken as they
+        are.
+    radius_m : float or None
+        From how far a cell is sampled, metres. None: from within only.
     """
 
     path: Path
     limits: tuple[float, float] | None = None
     cell: Literal["max", "mean"] = "max"
     weight: float = 1.0
+    units: Asked | None = None
+    radius_m: float | None = None
 
     def __post_init__(self) -> None:
+        if self.radius_m is not None and not 0 < self.radius_m < math.inf:
+            raise ArgumentError(f"--interest-radius {self.radius_m:g} must be more than 0")
         if self.limits is not None and not self.limits[0] < self.limits[1]:
             low, high = self.limits
             raise ArgumentError(f"--interest-range {low:g},{high:g}: the first value must be below the second")
@@ -52,7 +63,12 @@ class Interest:
     def parameters(self) -> dict[str, Any]:
         """What goes into the fingerprint beside the raster's bytes."""
         limits = None if self.limits is None else list(self.limits)
-        return {"range": limits, "cell": self.cell, "weight": self.weight}
+        found: dict[str, Any] = {"range": limits, "cell": self.cell, "weight": self.weight}
+        if self.units is not None:
+            found["units"] = self.units
+        if self.radius_m is not None:
+            found["radius_m"] = self.radius_m
+        return found
 
 
 @contextmanager
@@ -89,15 +105,17 @@ def values_on(raster: Raster, grid: Grid, cell: Literal["max", "mean"]) -> Score
     return field_on(raster, grid, rule)
 
 
-def degree(interest: Interest, values: Scores, go: NDArray[np.bool_]) -> tuple[NDArray[np.float64], float, float]:
+def degree(
+    interest: Interest, values: NDArray[np.floating], go: NDArray[np.bool_]
+) -> tuple[NDArray[np.float64], float, float]:
     """Map the cells' values linearly to 0 (at the lower limit and below) to 1 (at the upper one and above).
 
     Parameters
     ----------
-    values : float32 [rows, cols]
+    values : [rows, cols]
         NaN where there is no data: there the interest is 0.
     go : bool [rows, cols]
-        Cells that may be entered.
+        Cells that may be entered, or with a sensor's radius those within it.
 
     Returns
     -------
@@ -108,20 +126,28 @@ def degree(interest: Interest, values: Scores, go: NDArray[np.bool_]) -> tuple[N
     Raises
     ------
     InputError
-        There is no cell that may be entered with data, or with an interest above 0; or the limits are to be found,
-        and the values are all the same.
+        There is no such cell with data, or with an interest above 0, or all are of full interest; or the limits are to
+        be found, and the values are all the same.
     """
+    place = "that may be entered" if interest.radius_m is None else "within reach"
     found = values[go & np.isfinite(values)]
     if not found.size:
-        raise InputError(interest.path, "holds no value in any cell that may be entered")
+        raise InputError(interest.path, f"holds no value in any cell {place}")
     most = float(found.max())
     low, high = interest.limits or (float(np.median(found)), most)
     if interest.limits is None and not low < high:
         what = "is the same in all cells" if float(found.min()) == most else "is highest in half of the cells"
-        raise InputError(interest.path, f"{what} that may be entered ({most:g})", "say --interest-range LOW,HIGH")
+        raise InputError(interest.path, f"{what} {place} ({most:g})", "say --interest-range LOW,HIGH")
     if not most > low:
         raise InputError(
             interest.path, f"is nowhere above {low:g} where the robot may go (at most {most:g}): nothing to plan for"
+        )
+    least = float(found.min())
+    if least >= high and found.size == np.count_nonzero(go):
+        raise InputError(
+            interest.path,
+            f"reaches {high:g} in every cell {place} ({least:g} to {most:g}), so that it says nothing",
+            "is it in another unit? See --interest-range and --thermal-units",
         )
     share = (values.astype(np.float64) - low) / (high - low)
     return np.where(np.isfinite(values), np.clip(share, 0.0, 1.0), 0.0), low, high

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import json
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -13,12 +12,22 @@ import numpy as np
 from hrt_cli.artifacts.scores import PRIOR, ClassScore, read_scores
 from hrt_cli.artifacts.stage import REFUSE, Existing, begin
 from hrt_cli.drivability.cells import Cover, cover, score_cells
-from hrt_cli.drivability.interest import Interest, degree, open_interest, values_on, weighed
+from hrt_cli.drivability.interest import Interest
+from hrt_cli.drivability.layers import (
+    interest_files,
+    relief_notes,
+    relief_on,
+    relief_tags,
+    surface_files,
+    told_by,
+    with_interest,
+)
+from hrt_cli.drivability.limits import NO_LIMITS, Limits, place_limits, taken_by
+from hrt_cli.drivability.surface import Relief
 from hrt_cli.errors import InputError
 from hrt_cli.progress import Progress, silent
 from hrt_cli.raster.classes import open_classes
 from hrt_cli.raster.cog import cog_provenance
-from hrt_cli.raster.gate import open_raster
 from hrt_cli.raster.scoremap import Scoremap, publish_scoremap, read_scoremap
 
 STAGE = "scoremap"
@@ -46,6 +55,18 @@ class ScoremapSummary:
         The values of the raster of interest that count 0 and 1, if there is one.
     interest_cells : int or None
         Cells that may be entered and are of interest.
+    interest_out_of_reach : int or None
+        With a sensor's radius: spots of interest that are sampled from nowhere.
+    thermal_units : str or None
+        What temperatures of interest are read in, where that was asked for.
+    steep_cells, rough_cells : int or None
+        With a surface model: cells with a class whose slope, or ruggedness, is at or beyond its limit.
+    terrain_unknown_share : float or None
+        Share of the cells to go for which it has no heights.
+    aoi_cells, keep_out_cells : int or None
+        Cells that may not be entered only for the area of interest, and of the others those only for the keep-outs.
+    notes : list of str
+        What the user ought to know of these rasters and areas.
     """
 
     up_to_date: bool
@@ -58,6 +79,14 @@ class ScoremapSummary:
     seconds: float
     interest_range: tuple[float, float] | None = None
     interest_cells: int | None = None
+    interest_out_of_reach: int | None = None
+    thermal_units: str | None = None
+    steep_cells: int | None = None
+    rough_cells: int | None = None
+    terrain_unknown_share: float | None = None
+    aoi_cells: int | None = None
+    keep_out_cells: int | None = None
+    notes: list[str] = field(default_factory=list)
 
 
 def make_scoremap(
@@ -71,7 +100,9 @@ def make_scoremap(
     no_go_below: float | None = None,
     no_go_share: float = 1.0,
     margin_m: float = 0.0,
+    limits: Limits = NO_LIMITS,
     interest: Interest | None = None,
+    relief: Relief | None = None,
     creation: dict[str, str] | None = None,
     existing: Existing = REFUSE,
     progress: Progress = silent,
@@ -80,14 +111,15 @@ def make_scoremap(
 
     Without a table every class has the uniform prior. With one, every class of the raster must stand in it, or with
     `unknown_as_prior` has the prior too. No-go are cells that score less than `no_go_below`, those of which more than
-    `no_go_share` is of classes that do, and those within `margin_m` of either. With an `interest` a cell's score is its
-    expected drivability times what it is worth; where the robot may go does not depend on it.
+    `no_go_share` is of classes that do, and those within `margin_m` of either; so are those that `limits` bar, with the
+    same margin. With an `interest` a cell's score is its expected drivability times what it is worth; where the robot
+    may go does not depend on it. With a `relief` steep and rough ground scores less, and is no-go from its limits on.
 
     Raises
     ------
     InputError
-        The class raster, the table or the raster of interest cannot be used, a class of the raster is not in the
-        table, or no cell is of interest.
+        The class raster, the table, a limit, the raster of interest or the surface model cannot be used, a class of the
+        raster is not in the table, no cell may be entered, or none is of interest.
     ArgumentError
         The cell does not fit the raster.
     OutputError
@@ -108,9 +140,16 @@ def make_scoremap(
         parameters["margin_m"] = margin_m
     if unknown_as_prior:
         parameters["unknown_as_prior"] = True
+    inputs |= limits.files()
+    notes: list[str] = []
     if interest:
-        inputs |= _files_of(interest)
+        files, units, notes = interest_files(interest)
+        inputs |= files
         parameters["interest"] = interest.parameters
+    if relief:
+        files, pixel_m = surface_files(relief)
+        inputs |= files
+        parameters["relief"] = relief.parameters
     job = begin(
         STAGE, STAGE_VERSION, inputs=inputs, parameters=parameters, outputs={output: cog_provenance}, existing=existing
     )
@@ -118,21 +157,32 @@ def make_scoremap(
     unknown: list[int] = []
     if job.up_to_date:
         scoremap = read_scoremap(output)
+        placed = place_limits(limits, scoremap.grid, classes_path)
     else:
         with open_classes(classes_path) as classes:
+            placed = place_limits(limits, classes.grid.coarse(cell_m), classes_path)
             covered = cover(classes.grid, classes.read, cell_m, progress)
         table = _scores_for(covered, scores, classes_path, scores_path, unknown_as_prior)
         unknown = [k for k in covered.classes if k not in scores]
-        score, sd = score_cells(covered, table, explore, no_go_below, no_go_share, margin_m)
+        ground = relief_on(relief, covered, cell_m) if relief else None
+        ease = ground.ease(relief) if relief and ground else None
+        score, sd = score_cells(covered, table, explore, no_go_below, no_go_share, margin_m, ease)
         if np.isnan(score).all():
-            raise InputError(classes_path, "gives no cell that may be entered: all are nodata or below --no-go-below")
-        scoremap = Scoremap(score, sd, covered.grid, cell_m)
-        tags: dict[str, Any] = {}
+            beyond = ", or steep or rough by --dsm" if relief else ""
+            what = f"gives no cell that may be entered: all are nodata or below --no-go-below{beyond}"
+            raise InputError(classes_path, what)
+        scoremap, tags = placed.bar(Scoremap(score, sd, covered.grid, cell_m), margin_m, classes_path)
+        if relief and ground:
+            tags |= relief_tags(relief, ground, covered, np.isfinite(scoremap.score))
         if interest:
-            scoremap, tags = _with_interest(scoremap, interest)
+            scoremap, of_interest = with_interest(scoremap, interest, units)
+            tags |= of_interest
         publish_scoremap(output, scoremap, job.provenance, tags=tags, creation=creation)
     go = np.isfinite(scoremap.score)
-    limits, cells = _interest_in(output) if interest else (None, None)
+    told = told_by(output, interest, relief) | taken_by(limits, output)
+    notes += placed.notes
+    if relief:
+        notes += relief_notes(relief, cell_m, pixel_m, told["terrain_unknown_share"])
     return ScoremapSummary(
         job.up_to_date,
         scoremap.grid.rows,
@@ -142,37 +192,9 @@ def make_scoremap(
         float(scoremap.score[go].mean(dtype=np.float64)),
         unknown,
         time.monotonic() - began,
-        limits,
-        cells,
+        notes=notes,
+        **told,
     )
-
-
-def _files_of(interest: Interest) -> dict[str, Path]:
-    """Return the files of the raster of interest by role: itself, a mask side-car, the parts of a VRT."""
-    with open_interest(interest.path) as raster:
-        return {role.replace("raster", "interest", 1): path for role, path in raster.sources().items()}
-
-
-def _with_interest(scoremap: Scoremap, interest: Interest) -> tuple[Scoremap, dict[str, Any]]:
-    """Return the scoremap with its scores weighed by interest, and the tags that tell of it."""
-    with open_interest(interest.path) as raster:
-        values = values_on(raster, scoremap.grid, interest.cell)
-    go = np.isfinite(scoremap.score)
-    share, low, high = degree(interest, values, go)
-    score, sd = (weighed(plain, share, interest.weight) for plain in (scoremap.score, scoremap.sd))
-    tags = {"interest_range": [low, high], "interest_cells": int(((share > 0) & go).sum())}
-    return Scoremap(score, sd, scoremap.grid, scoremap.cell_size_m), tags
-
-
-def _interest_in(path: Path) -> tuple[tuple[float, float], int]:
-    """Return the limits and the number of cells of interest that a scoremap of ours was tagged with."""
-    with open_raster(path) as raster:
-        tags = raster.hrt_tags
-    try:
-        low, high = json.loads(tags["INTEREST_RANGE"])
-        return (float(low), float(high)), int(tags["INTEREST_CELLS"])
-    except (KeyError, ValueError, TypeError, RecursionError) as error:
-        raise InputError(path, "its tags are damaged", "use --force to make it again") from error
 
 
 def _scores_for(

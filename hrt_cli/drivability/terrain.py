@@ -69,9 +69,3 @@ class Terrain:
         except InputError:
             return np.full((window.height, window.width), np.nan, np.float32)  # the model ends before it
         return field_on(self._dsm, part, "average" if self._fine else "bilinear")
-
-
-def eased(slope_deg: float, rugosity_m: float, slope_limit_deg: float, rugosity_limit_m: float) -> float:
-    """Return by what progress counts on a slope and on rough ground: 1 on a level floor, 0 from a limit on."""
-    steep, rough = slope_deg / slope_limit_deg, rugosity_m / rugosity_limit_m
-    return max(0.0, 1.0 - steep * steep) * max(0.0, 1.0 - rough * rough)

@@ -18,7 +18,7 @@ from hrt_cli.progress import Note, Progress, silent, unheard
 from hrt_cli.world.site import load_site, site_files
 
 STAGE = "record"
-STAGE_VERSION = 2
+STAGE_VERSION = 3
 
 
 @dataclass(frozen=True)

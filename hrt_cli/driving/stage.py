@@ -30,7 +30,7 @@ from hrt_cli.progress import Progress, silent
 from hrt_cli.world.site import Site, load_site, site_files
 
 STAGE = "drive"
-STAGE_VERSION = 9
+STAGE_VERSION = 10
 
 LOCAL_PLANNERS = ("pursuit", "expert", "teacher", "steer")
 

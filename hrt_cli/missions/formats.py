@@ -10,7 +10,7 @@ from pathlib import PurePath
 from hrt_cli.errors import ArgumentError
 from hrt_cli.missions import geojson, gpx, kml, moos, nav2, points_csv, qgc, wpl
 from hrt_cli.missions.mavlink import item_count, item_limit
-from hrt_cli.missions.mission import Mission, MissionOptions, mission_of
+from hrt_cli.missions.mission import Mission, mission_of
 from hrt_cli.missions.simplify import Bools
 from hrt_cli.raster.scoremap import Scoremap
 

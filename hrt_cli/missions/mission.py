@@ -17,8 +17,9 @@ from rasterio.errors import CRSError
 
 from hrt_cli.artifacts.plan import Cell, PlanDocument
 from hrt_cli.errors import ArgumentError
+from hrt_cli.missions.fence import NO_FENCE, Fence
 from hrt_cli.missions.local import FrameKind, LocalFrame
-from hrt_cli.missions.simplify import Bools, simplified, visited
+from hrt_cli.missions.simplify import Bools, passed_by, simplified, visited
 from hrt_cli.raster.grid import WGS84, lonlat_length_m, transform_points
 
 Vehicle = Literal["rover", "boat", "submarine"]
@@ -91,7 +92,7 @@ class MissionOptions:
     frame : {"utm", "enu"}
         Local frame of the formats in metres.
     datum : (float, float), optional
-        Its origin, WGS 84 longitude and latitude; the first corner (south-west, north up) of the plan's grid where None.
+        Its origin, WGS 84 longitude and latitude; the south-west corner of the plan's grid where None.
 
     Raises
     ------
@@ -128,7 +129,9 @@ class MissionOptions:
             if self.vehicle != "submarine" or self.altitude_m:
                 raise ArgumentError("a height above the bottom is for a submarine, in place of an altitude or a depth")
             if not 0 < self.above_bottom_m <= MAX_ALTITUDE_M:
-                raise ArgumentError(f"height {self.above_bottom_m:g} m above the bottom is not in 0..{MAX_ALTITUDE_M:g}")
+                raise ArgumentError(
+                    f"height {self.above_bottom_m:g} m above the bottom is not in 0..{MAX_ALTITUDE_M:g}"
+                )
         if not 0 <= self.tolerance_m < math.inf:
             raise ArgumentError(f"tolerance {self.tolerance_m:g} m is no length")
         if self.spacing_m is not None and not MIN_SPACING_M <= self.spacing_m < math.inf:
@@ -150,6 +153,8 @@ class Mission:
 
     `home` is the plan's start at altitude 0; `stops` are the waypoints, start included; `lonlat` is the whole walk;
     `length_m` is that of the legs between the stops, `time_s` what they take at the mission's speed, with the holds.
+    `passed_by` counts the plan's cells that the robot does not enter, for it drives straight past them within the
+    tolerance. `fence` has no polygons where no areas were given.
     """
 
     plan: PlanDocument
@@ -161,6 +166,8 @@ class Mission:
     speed_m_s: float
     length_m: float
     time_s: float
+    passed_by: int = 0
+    fence: Fence = NO_FENCE
 
     @property
     def points(self) -> tuple[Position, ...]:
@@ -177,13 +184,17 @@ class Mission:
     @cached_property
     def xy(self) -> list[tuple[float, float]]:
         """The waypoints in the local frame, metres."""
-        return self.frame.xy([(point.lon_deg, point.lat_deg) for point in self.points])
+        return self.frame.xy(self.waypoints_lonlat)
+
+    @property
+    def waypoints_lonlat(self) -> list[tuple[float, float]]:
+        """The waypoints as longitude and latitude, degrees."""
+        return [(point.lon_deg, point.lat_deg) for point in self.points]
 
     @cached_property
     def legs_m(self) -> list[float]:
         """The metres of ground from each waypoint to the next."""
-        lons, lats = zip(*((point.lon_deg, point.lat_deg) for point in self.points), strict=True)
-        return [float(leg) for leg in lonlat_length_m(lons, lats)]
+        return [float(leg) for leg in lonlat_length_m(*zip(*self.waypoints_lonlat, strict=True))]
 
     @property
     def description(self) -> str:
@@ -254,6 +265,7 @@ def mission_of(plan: PlanDocument, options: MissionOptions, go: Bools | None = N
         speed_m_s=speed_m_s,
         length_m=length_m,
         time_s=time_s,
+        passed_by=passed_by(plan.cells, steps),
     )
 
 

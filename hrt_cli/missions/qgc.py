@@ -10,6 +10,7 @@ from __future__ import annotations
 import json
 from typing import Any
 
+from hrt_cli.missions.fence import Fence
 from hrt_cli.missions.mavlink import (
     DEGREE_DECIMALS,
     FRAME_GLOBAL_TERRAIN_ALT,
@@ -42,7 +43,7 @@ def to_text(mission: Mission) -> str:
             "plannedHomePosition": _place(mission.home),
             "items": [_item(index, item) for index, item in enumerate(mission_items(mission), start=1)],
         },
-        "geoFence": {"version": 2, "circles": [], "polygons": []},
+        "geoFence": {"version": 2, "circles": [], "polygons": _fence(mission.fence)},
         "rallyPoints": {"version": 2, "points": []},
     }
     return json.dumps(document, indent=4, allow_nan=False) + "\n"
@@ -64,6 +65,18 @@ def _item(index: int, item: Item) -> dict[str, Any]:
             "AMSLAltAboveTerrain": None,
         }
     return simple
+
+
+def _fence(fence: Fence) -> list[dict[str, Any]]:
+    return [
+        {"version": 1, "inclusion": inclusion, "polygon": [[_degrees(lat), _degrees(lon)] for lon, lat in ring]}
+        for inclusion, rings in ((True, fence.keep_in), (False, fence.keep_out))
+        for ring in rings
+    ]
+
+
+def _degrees(value: float) -> float:
+    return rounded(value, DEGREE_DECIMALS)
 
 
 def _place(position: Position) -> list[float]:

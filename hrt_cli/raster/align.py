@@ -41,7 +41,9 @@ _PLAIN = {"bilinear": {"XSCALE": 1, "YSCALE": 1}}
 """GDAL guesses from the two sizes how wide to interpolate, and is misled where the grids are turned."""
 
 
-def field_on(raster: Raster, grid: Grid, rule: Rule, *, band: int = 1) -> NDArray[np.float32]:
+def field_on(
+    raster: Raster, grid: Grid, rule: Rule, *, band: int = 1, void: tuple[float, ...] = ()
+) -> NDArray[np.float32]:
     """Return a band of a raster on another grid.
 
     Parameters
@@ -55,6 +57,8 @@ def field_on(raster: Raster, grid: Grid, rule: Rule, *, band: int = 1) -> NDArra
         value is NaN only where no pixel with data lies about it.
     band : int
         Counted from 1.
+    void : tuple of float
+        Values that carry no data though the raster does not say so.
 
     Returns
     -------
@@ -67,7 +71,9 @@ def field_on(raster: Raster, grid: Grid, rule: Rule, *, band: int = 1) -> NDArra
         The raster does not reach the grid, or the part of it that does has more than `MAX_PX` pixels.
     """
     window = window_on(raster.path, raster.grid, grid)
-    real = _read(raster, band, window)
+    real = real_values(raster, window, band)
+    for value in void:
+        real[real == np.float32(value)] = np.nan
     part = part_of(raster.grid, window)
     try:
         if rule == "max":
@@ -83,8 +89,8 @@ def field_on(raster: Raster, grid: Grid, rule: Rule, *, band: int = 1) -> NDArra
     return out
 
 
-def _read(raster: Raster, band: int, window: Window) -> NDArray[np.float32]:
-    """Read a band as float32, NaN where it has no data."""
+def real_values(raster: Raster, window: Window, band: int = 1) -> NDArray[np.float32]:
+    """Read a band in a window inside the raster as float32 [height, width], NaN where it has no data."""
     values = raster.read_bands([band], window)[0]
     empty = is_nodata(values, raster.nodata[band - 1])
     if raster.has_mask:
@@ -105,6 +111,24 @@ def window_on(path: Path, source: Grid, target: Grid) -> Window:
     InputError
         There are none, or more than `MAX_PX`; `path` names the source.
     """
+    window = window_or_none(path, source, target)
+    if window is None:
+        raise InputError(path, "does not cover the place: it lies wholly beside the other raster")
+    if window.height * window.width > MAX_PX:
+        raise InputError(
+            path, f"has {window.height} x {window.width} pixels there, more than are read at once", "resample it first"
+        )
+    return window
+
+
+def window_or_none(path: Path, source: Grid, target: Grid) -> Window | None:
+    """Return the pixels of `source` that lie on `target`, however many, with a small margin; None if there are none.
+
+    Raises
+    ------
+    InputError
+        One of them has no place on the Earth; `path` names the source.
+    """
     along = np.linspace(0.0, 1.0, _EDGE_POINTS)
     rows, cols = (a.ravel() * side for a, side in zip(np.meshgrid(along, along), target.shape, strict=True))
     x, y = target.xy(rows, cols)
@@ -121,13 +145,7 @@ def window_on(path: Path, source: Grid, target: Grid) -> Window:
     bottom, right = int(np.ceil(at_row.max())) + _MARGIN_PX, int(np.ceil(at_col.max())) + _MARGIN_PX
     window = Window(top, left, bottom - top, right - left).clipped(source.shape)
     inside = (at_row.max() > 0) & (at_row.min() < source.rows) & (at_col.max() > 0) & (at_col.min() < source.cols)
-    if not inside or not window.height or not window.width:
-        raise InputError(path, "does not cover the place: it lies wholly beside the other raster")
-    if window.height * window.width > MAX_PX:
-        raise InputError(
-            path, f"has {window.height} x {window.width} pixels there, more than are read at once", "resample it first"
-        )
-    return window
+    return window if inside and window.height and window.width else None
 
 
 def part_of(grid: Grid, window: Window) -> Grid:

@@ -1,43 +1,37 @@
-"""Areas drawn on the map (an area of interest, a keep-out): from GeoJSON polygons to pixels of a grid.
-
-A pixel belongs to an area where its centre lies inside. That is decided by counting, pixel row by pixel row, the
-edges left of the centre (even-odd rule: Foley, van Dam, Feiner, Hughes, Computer Graphics, 1990, section 3.6), with
-every crossing computed in coordinates of the whole grid: a pixel's answer does not depend on the window it is asked
-for in, which a rasteriser that works in the window's own coordinates does not promise.
-"""
+"""Areas drawn on the map (an area of interest, a keep-out): from a file of polygons to pixels, legs and fences."""
 
 from __future__ import annotations
 
-import math
 import os
-import re
-from collections.abc import Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import shapely
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from rasterio.crs import CRS
-from rasterio.errors import CRSError
 
-from hrt_cli.artifacts.jsonio import parse_strict, read_text
 from hrt_cli.errors import InputError
+from hrt_cli.raster.geojson import read_geojson
 from hrt_cli.raster.grid import WGS84, Floats, Grid, transform_points
-from hrt_cli.raster.windows import Window
+from hrt_cli.raster.kml import read_kml
+from hrt_cli.raster.pixel_area import BEND_PX, PixelArea
+from hrt_cli.raster.polygons import rings_of
 
-MAX_POSITIONS = 1_000_000
-_BEND_PX = 0.01
-"""How far, in pixels, an edge may lie from where the straight line of the file would come to in the raster's CRS."""
 _MAX_HALVINGS = 24
-_MAX_COORDINATE = 1e9
 _OUTLINE_POINTS = 17
 _FIRST_EDGES = 64
-_CRS84 = re.compile(r"(urn:ogc:def:crs:)?OGC:[0-9.]*:?CRS84", re.IGNORECASE)
-_EPSG = re.compile(r"(?:urn:ogc:def:crs:)?EPSG:(?:[0-9.]*:)?([0-9]{4,6})", re.IGNORECASE)
-_TO_REPAIR = "repair it with Fix Geometries in QGIS"
+_BEND_DEG = 1e-7
+"""1.1 cm: the resolution of the positions that autopilots keep."""
+_BEND_UNITS = 1e-3
+"""Of a leg in the file's CRS, mostly metres."""
+_TURN_DEG = 360.0
+_QUARTERS = (0.25, 0.75)
+
+Place = Callable[[Floats], Floats]
+"""Where points [n, 2] come to lie elsewhere."""
 
 
 @dataclass(frozen=True)
@@ -52,11 +46,14 @@ class Aoi:
         That of the coordinates, x or longitude first.
     shape : shapely Polygon or MultiPolygon
         All the polygons of the file in one.
+    notes : tuple of str
+        What of the file was passed over.
     """
 
     path: Path
     crs: CRS
     shape: Any
+    notes: tuple[str, ...] = ()
 
     def on(self, grid: Grid) -> PixelArea:
         """Place the area on a georeferenced grid, which it may miss.
@@ -72,8 +69,16 @@ class Aoi:
         try:
             box = self._surroundings(grid)
             # Short edges to begin with: of a long one that bends both ways the middle may lie on the straight line.
-            near = shapely.segmentize(self.shape.intersection(box), box.length / _FIRST_EDGES)
-            return PixelArea(grid, _edges([self._pixels(grid, ring) for ring in _rings(near)]))
+            near = shapely.segmentize(self._turned(box.bounds).intersection(box), box.length / _FIRST_EDGES)
+            crs = _crs_of(grid)
+            centre_x = float(grid.xy(grid.rows / 2, grid.cols / 2)[0])
+
+            def place(points: Floats) -> Floats:
+                x, y = _placed(self.crs, crs, points, centre_x).T
+                col, row = ~grid.transform @ (x, y)
+                return np.stack([row, col], axis=1)
+
+            return PixelArea.of_rings(grid, [_followed(ring, place, BEND_PX)[0] for ring in rings_of(near)])
         except ValueError as error:
             raise InputError(self.path, f"cannot be placed on the raster, which {error}") from error
 
@@ -86,216 +91,165 @@ class Aoi:
             As `on`, and where no part of the area lies on the grid.
         """
         area = self.on(grid)
-        if area.bounds.height and area.bounds.width:
-            return area
+        if area.misses_grid:
+            raise InputError(self.path, f"lies outside {os.fspath(raster)}", self.why_it_misses(grid))
+        return area
+
+    def why_it_misses(self, grid: Grid) -> str:
+        """Return what to suspect where the area misses a grid; an empty string where there is nothing."""
         swapped = shapely.transform(self.shape, lambda points: points[:, ::-1])
         exchanged = self.crs.is_geographic and swapped.intersects(self._surroundings(grid))
-        remedy = "longitude and latitude seem to be exchanged: GeoJSON gives longitude first" if exchanged else ""
-        raise InputError(self.path, f"lies outside {os.fspath(raster)}", remedy)
+        return "longitude and latitude seem to be exchanged: longitude comes first" if exchanged else ""
+
+    def meets(self, line: ArrayLike, crs: CRS = WGS84) -> NDArray[np.bool_]:
+        """Return which legs of a line touch the area, be it in one point of its edge.
+
+        Parameters
+        ----------
+        line : float64 [n, 2]
+            Positions, x or longitude first; the legs between them are straight in these coordinates. One position
+            alone is a leg that stays where it is.
+        crs : CRS
+            That of the positions.
+
+        Returns
+        -------
+        met : bool [max(n - 1, 1)]
+
+        Raises
+        ------
+        InputError
+            A position has no place in the CRS of the file.
+        """
+        pieces, starts, shape = self._legs(line, crs)
+        return np.asarray(np.logical_or.reduceat(shapely.intersects(shape, pieces), starts))
+
+    def holds(self, line: ArrayLike, crs: CRS = WGS84) -> NDArray[np.bool_]:
+        """Return which legs of a line lie wholly in the area, its edge included; arguments and errors as `meets`."""
+        pieces, starts, shape = self._legs(line, crs)
+        return np.asarray(np.logical_and.reduceat(shapely.covers(shape, pieces), starts))
+
+    def lonlat_polygons(self) -> list[tuple[Floats, list[Floats]]]:
+        """Return the outer ring and the holes of each polygon in WGS 84 degrees, longitude first, as fences need them.
+
+        Rings are float64 [n, 2] and closed. Positions are added where edges that are straight in the file's CRS would
+        leave the line between their ends by more than 1e-7 degrees.
+
+        Raises
+        ------
+        InputError
+            A position has no place on the Earth.
+        """
+        parts = (rings_of(part) for part in shapely.get_parts(self.shape))
+        return [(self._lonlat(outer), [self._lonlat(hole) for hole in holes]) for outer, *holes in parts]
+
+    def _lonlat(self, ring: Floats) -> Floats:
+        if self.crs == WGS84:
+            return ring
+        try:
+            first_lon = _placed(self.crs, WGS84, ring[:1])[0, 0]
+            lonlat, _ = _followed(ring, lambda p: _placed(self.crs, WGS84, p, first_lon), _BEND_DEG, _QUARTERS)
+        except ValueError as error:
+            raise InputError(self.path, f"cannot be placed on the Earth: {error}") from error
+        return np.stack([_near(lonlat[:, 0], 0.0), lonlat[:, 1]], axis=1)
+
+    def _legs(self, line: ArrayLike, crs: CRS) -> tuple[Any, NDArray[np.int64], Any]:
+        """Return the pieces that follow the legs in the file's CRS, each leg's first, and the area to compare with."""
+        points = np.array(line, np.float64).reshape(-1, 2)
+        if len(points) == 1:
+            points = np.repeat(points, 2, axis=0)
+        if crs.is_geographic:
+            points[:, 0] = np.unwrap(points[:, 0], period=_TURN_DEG)
+        try:
+            first_x = _placed(crs, self.crs, points[:1])[0, 0]
+            bend = _BEND_DEG if self.crs.is_geographic else _BEND_UNITS
+            placed, leg = _followed(points, lambda p: _placed(crs, self.crs, p, first_x), bend, _QUARTERS)
+        except ValueError as error:
+            raise InputError(self.path, f"cannot be compared with a line: {error}") from error
+        pieces = shapely.linestrings(np.stack([placed[:-1], placed[1:]], axis=1))
+        low, high = placed.min(axis=0), placed.max(axis=0)
+        shape = self._turned((low[0], low[1], high[0], high[1]))
+        shapely.prepare(shape)
+        return pieces, np.searchsorted(leg[:-1], np.arange(len(points) - 1)), shape
 
     def _surroundings(self, grid: Grid) -> Any:
         """Return a box in the file's CRS that holds the grid and as much again on each side."""
         down, along = np.linspace(0, grid.rows, _OUTLINE_POINTS), np.linspace(0, grid.cols, _OUTLINE_POINTS)
         x, y = transform_points(_crs_of(grid), self.crs, *grid.xy(*map(np.ravel, np.meshgrid(down, along))))
+        if self.crs.is_geographic:
+            x = _near(x, x[0])
         width, height = np.ptp(x), np.ptp(y)
-        return shapely.box(x.min() - width, y.min() - height, x.max() + width, y.max() + height)
+        low, high = x.min() - width, x.max() + width
+        if self.crs.is_geographic and high - low > _TURN_DEG:
+            low, high = (low + high - _TURN_DEG) / 2, (low + high + _TURN_DEG) / 2
+        return shapely.box(low, y.min() - height, high, y.max() + height)
 
-    def _pixels(self, grid: Grid, ring: Floats) -> Floats:
-        """Return a closed ring [n, 2] of the file's coordinates as pixel positions (row, col) [m, 2]."""
-        ends, placed = ring, self._rowcol(grid, ring)
-        for _ in range(_MAX_HALVINGS):
-            middles = (ends[:-1] + ends[1:]) / 2
-            placed_middles = self._rowcol(grid, middles)
-            bend = np.abs(placed_middles - (placed[:-1] + placed[1:]) / 2).max(axis=1)
-            bent = np.flatnonzero(bend > _BEND_PX)
-            if not len(bent):
-                break
-            ends = np.insert(ends, bent + 1, middles[bent], axis=0)
-            placed = np.insert(placed, bent + 1, placed_middles[bent], axis=0)
-        return placed
-
-    def _rowcol(self, grid: Grid, points: Floats) -> Floats:
-        x, y = transform_points(self.crs, _crs_of(grid), points[:, 0], points[:, 1])
-        col, row = ~grid.transform @ (x, y)
-        return np.stack([row, col], axis=1)
-
-
-@dataclass(frozen=True)
-class PixelArea:
-    """An area in pixels of a grid.
-
-    Attributes
-    ----------
-    grid : Grid
-    edges : float64 [n, 4]
-        Row and column of each edge's upper end, then of its lower; no edge lies along a row.
-    """
-
-    grid: Grid
-    edges: Floats
-
-    @cached_property
-    def bounds(self) -> Window:
-        """The smallest window of whole pixels on the grid that holds the area; empty where the area misses it."""
-        if not len(self.edges):
-            return Window(0, 0, 0, 0)
-        rows, cols = self.edges[:, 0::2], self.edges[:, 1::2]
-        top, left = math.floor(rows.min()), math.floor(cols.min())
-        return Window(top, left, math.ceil(rows.max()) - top, math.ceil(cols.max()) - left).clipped(self.grid.shape)
-
-    def mask(self, window: Window) -> NDArray[np.bool_]:
-        """Return where pixel centres lie in the area [height, width]; the window may reach outside the grid."""
-        # An edge crosses the rows whose centre lies at or below its upper end and above its lower end.
-        first = np.maximum(np.ceil(self.edges[:, 0] - 0.5), window.row).astype(np.int64)
-        last = np.minimum(np.ceil(self.edges[:, 2] - 0.5), window.row + window.height).astype(np.int64)
-        met = np.flatnonzero(first < last)
-        counts = (last - first)[met]
-        row0, col0, row1, col1 = np.repeat(self.edges[met], counts, axis=0).T
-        row = np.arange(counts.sum()) + np.repeat(first[met] - (counts.cumsum() - counts), counts)
-        crossing = col0 + (row + 0.5 - row0) / (row1 - row0) * (col1 - col0)
-        # The parity changes at the first pixel whose centre lies at or right of the crossing.
-        change = np.clip(np.ceil(crossing - 0.5), window.col, window.col + window.width).astype(np.int64)
-        odd = np.zeros((window.height, window.width + 1), np.bool_)
-        np.logical_xor.at(odd, (row - window.row, change - window.col), True)
-        return np.asarray(np.logical_xor.accumulate(odd[:, :-1], axis=1))
+    def _turned(self, bounds: tuple[float, float, float, float]) -> Any:
+        """Return the area, and where bounds in the file's CRS reach past the antimeridian what lies there of it."""
+        if not self.crs.is_geographic or (bounds[0] >= -_TURN_DEG / 2 and bounds[2] <= _TURN_DEG / 2):
+            return self.shape
+        turns = np.array([[-_TURN_DEG, 0.0], [0.0, 0.0], [_TURN_DEG, 0.0]])
+        return shapely.union_all([shapely.transform(self.shape, turn.__add__) for turn in turns])
 
 
 def read_aoi(path: Path) -> Aoi:
-    """Read an area from GeoJSON: a Polygon, a MultiPolygon, a Feature or a FeatureCollection of them.
-
-    Coordinates are WGS 84 longitude and latitude (RFC 7946), or of the CRS that a `crs` member names, as GDAL and
-    QGIS write it after GeoJSON's first specification (2008). Several polygons are taken together.
+    """Read an area: the polygons of a GeoJSON file, or by its name of a KML or KMZ file, taken together.
 
     Raises
     ------
     InputError
-        The file is no strict JSON, is no GeoJSON polygon, names a CRS that is not known, holds a position out of
-        range or a ring that is open or crosses itself.
+        See `read_geojson` and `read_kml`; or the file holds no polygon.
     """
-    document = parse_strict(path, read_text(path))
-    if not isinstance(document, dict):
-        raise InputError(path, "is not GeoJSON: the document is no object")
-    crs = _crs(path, document)
-    check = _Checker(path, crs.is_geographic)
-    polygons = [check.polygon(rings) for rings in _polygons(path, document)]
-    if not polygons:
+    drawn = read_kml(path) if path.suffix.lower() in (".kml", ".kmz") else read_geojson(path)
+    if not drawn.polygons:
         raise InputError(path, "holds no polygon")
-    return Aoi(path, crs, shapely.union_all(polygons))
+    return Aoi(path, drawn.crs, shapely.union_all(drawn.polygons), drawn.notes)
 
 
-@dataclass
-class _Checker:
-    """Turns the rings of one file into valid polygons."""
-
-    path: Path
-    geographic: bool
-    positions: int = 0
-
-    def polygon(self, rings: Any) -> Any:
-        if not isinstance(rings, list) or not rings:
-            raise InputError(self.path, "holds a polygon without rings")
-        outer, *holes = [self._ring(ring) for ring in rings]
-        polygon = shapely.Polygon(outer, holes)
-        if not polygon.is_valid:
-            reason = shapely.is_valid_reason(polygon).replace("[", " at ").replace("]", "")
-            raise InputError(self.path, f"holds a polygon that is not valid: {reason}", _TO_REPAIR)
-        return polygon
-
-    def _ring(self, ring: Any) -> list[tuple[float, float]]:
-        if not isinstance(ring, list) or len(ring) < 4:
-            raise InputError(self.path, "holds a ring of fewer than four positions")
-        self.positions += len(ring)
-        if self.positions > MAX_POSITIONS:
-            raise InputError(self.path, f"holds more than {MAX_POSITIONS} positions", "simplify it")
-        points = [self._position(position) for position in ring]
-        if points[0] != points[-1]:
-            raise InputError(self.path, "holds a ring that is not closed: its last position is not its first")
-        return points
-
-    def _position(self, position: Any) -> tuple[float, float]:
-        numbers = position if isinstance(position, list) else []
-        if len(numbers) < 2 or any(isinstance(n, bool) or not isinstance(n, int | float) for n in numbers):
-            raise InputError(self.path, f"holds the position {str(position)[:60]}, which is no list of numbers")
-        x, y = numbers[:2]
-        if self.geographic and not (-180 <= x <= 180 and -90 <= y <= 90):
-            raise InputError(
-                self.path,
-                f"the position {str(position)[:60]} is no longitude and latitude",
-                "give degrees, longitude first, or name the CRS in a crs member",
-            )
-        if not (abs(x) <= _MAX_COORDINATE and abs(y) <= _MAX_COORDINATE):
-            raise InputError(self.path, "holds a position too far away to lie on the Earth")
-        return float(x), float(y)
+def _placed(source: CRS, target: CRS, points: Floats, about_x: float | None = None) -> Floats:
+    """Transform points [n, 2]; of longitudes take the turn about `about_x`."""
+    x, y = transform_points(source, target, points[:, 0], points[:, 1])
+    if about_x is not None and target.is_geographic:
+        x = _near(x, about_x)
+    return np.stack([x, y], axis=1)
 
 
-def _polygons(path: Path, document: dict[str, Any]) -> Iterator[Any]:
-    """Yield the rings of each polygon of a GeoJSON object."""
-    kind = document.get("type")
-    if kind == "FeatureCollection":
-        for feature in _list(path, document, "features"):
-            if not isinstance(feature, dict) or feature.get("type") != "Feature":
-                raise InputError(path, "holds a feature that is none")
-            yield from _polygons(path, feature)
-    elif kind == "Feature":
-        geometry = document.get("geometry")
-        if not isinstance(geometry, dict) or geometry.get("type") in ("Feature", "FeatureCollection"):
-            raise InputError(path, "holds a feature without geometry")
-        yield from _polygons(path, geometry)
-    elif kind == "MultiPolygon":
-        yield from _list(path, document, "coordinates")
-    elif kind == "Polygon":
-        yield _list(path, document, "coordinates")
-    elif isinstance(kind, str):
-        raise InputError(path, f"holds a {kind[:40]}; an area is made of Polygons and MultiPolygons")
-    else:
-        raise InputError(path, "is not GeoJSON: an object has no type")
+def _near(lon_deg: Floats, about_deg: float) -> Floats:
+    """Return longitudes at most half a turn from another."""
+    return np.asarray(lon_deg - _TURN_DEG * np.round((lon_deg - about_deg) / _TURN_DEG))
 
 
-def _list(path: Path, document: dict[str, Any], key: str) -> list[Any]:
-    found = document.get(key)
-    if not isinstance(found, list):
-        raise InputError(path, f"is not GeoJSON: a {document['type']} has no list of {key}")
-    return found
+def _followed(
+    ends: Floats, place: Place, bend: float, probes: tuple[float, ...] = ()
+) -> tuple[Floats, NDArray[np.int64]]:
+    """Place a line [n, 2] elsewhere, with as many positions [m, 2] as it needs to be followed to within `bend`.
 
+    An edge is halved until its middle, and what lies at the shares `probes` of it, comes to lie on the straight line.
 
-def _crs(path: Path, document: dict[str, Any]) -> CRS:
-    """Return WGS 84, or what the `crs` member of the 2008 specification names."""
-    if "crs" not in document:
-        return WGS84
-    member = document["crs"]
-    properties = member.get("properties") if isinstance(member, dict) else None
-    name = properties.get("name") if isinstance(properties, dict) else None
-    if isinstance(name, str) and _CRS84.fullmatch(name):
-        return WGS84
-    code = _EPSG.fullmatch(name) if isinstance(name, str) else None
-    try:
-        if code:
-            return CRS.from_epsg(int(code[1]))
-    except CRSError:
-        pass
-    described = repr(name)[:60] if name is not None else "none"
-    raise InputError(path, f"its crs member names {described}, no CRS that is known", "export it in EPSG:4326")
+    Returns
+    -------
+    placed : float64 [m, 2]
+    edge : int64 [m]
+        The edge of `ends` that begins at, or holds, each position.
+    """
+    placed, edge = place(ends), np.arange(len(ends))
+    for _ in range(_MAX_HALVINGS):
+        middles = (ends[:-1] + ends[1:]) / 2
+        placed_middles = place(middles)
+        bends = np.abs(placed_middles - (placed[:-1] + placed[1:]) / 2).max(axis=1)
+        for share in probes:
+            off = place(ends[:-1] + share * (ends[1:] - ends[:-1])) - placed[:-1] - share * (placed[1:] - placed[:-1])
+            bends = np.maximum(bends, np.abs(off).max(axis=1))
+        bent = np.flatnonzero(bends > bend)
+        if not len(bent):
+            break
+        ends = np.insert(ends, bent + 1, middles[bent], axis=0)
+        placed = np.insert(placed, bent + 1, placed_middles[bent], axis=0)
+        edge = np.insert(edge, bent + 1, edge[bent])
+    return placed, edge
 
 
 def _crs_of(grid: Grid) -> CRS:
     if grid.crs is None:
         raise ValueError("has no coordinate reference system")
     return grid.crs
-
-
-def _rings(shape: Any) -> Iterator[Floats]:
-    """Yield the outer and inner rings [n, 2] of all polygons in a geometry."""
-    for part in shapely.get_parts(shape):
-        if isinstance(part, shapely.Polygon):
-            for ring in (part.exterior, *part.interiors):
-                if len(ring.coords):
-                    yield shapely.get_coordinates(ring)
-
-
-def _edges(rings: list[Floats]) -> Floats:
-    """Return the edges of closed rings as in `PixelArea`."""
-    legs = [np.concatenate([ring[:-1], ring[1:]], axis=1) for ring in rings]
-    edges = np.concatenate(legs) if legs else np.zeros((0, 4))
-    edges = edges[edges[:, 0] != edges[:, 2]]
-    downward = edges[:, 0] < edges[:, 2]
-    return np.asarray(np.where(downward[:, None], edges, edges[:, [2, 3, 0, 1]]))

@@ -107,6 +107,12 @@ class Raster:
         Its geometry, found measurable (or pixel coordinates, where it was opened unreferenced).
     count, dtypes, nodata : int, tuple of str, tuple of float or None
         As the file declares them (`nodata` per band; the user's `--nodata` in its place if given).
+    units, descriptions : tuple of str
+        What the file says of its bands, "" where it says nothing.
+    scales, offsets : tuple of float
+        A band's values are meant to be those read times its scale plus its offset; `read_bands` does not apply them.
+    lossy : bool
+        Whether the pixels (of a VRT, those of its first part) are compressed with loss, an alpha band among them.
     notes : list of str
         What the user ought to know though it was no reason to refuse.
     """
@@ -118,10 +124,15 @@ class Raster:
         self.count: int = dataset.count
         self.dtypes: tuple[str, ...] = dataset.dtypes
         self.nodata: tuple[float | None, ...] = dataset.nodatavals if nodata is None else (nodata,) * dataset.count
+        self.units: tuple[str, ...] = tuple(unit or "" for unit in dataset.units)
+        self.descriptions: tuple[str, ...] = tuple(text or "" for text in dataset.descriptions)
+        self.scales: tuple[float, ...] = dataset.scales
+        self.offsets: tuple[float, ...] = dataset.offsets
         self.driver: str = dataset.driver
         self.colours: tuple[ColorInterp, ...] = dataset.colorinterp
         self.block_shape: tuple[int, int] = dataset.block_shapes[0]
         self.compression: str = str(dataset.profile.get("compress", "none"))
+        self.lossy = _is_lossy(dataset) or any(map(_is_lossy_part, [p for p in parts if p.suffix != ".vrt"][:1]))
         self.overviews: list[int] = dataset.overviews(1)
         self.tags: dict[str, str] = dataset.tags()
         self.hrt_tags: dict[str, str] = dataset.tags(ns="HRT")
@@ -303,6 +314,22 @@ def _palette(dataset: DatasetReader) -> NDArray[np.uint8] | None:
         if index < len(table):
             table[index] = colour[:3]
     return table
+
+
+def _is_lossy(dataset: DatasetReader) -> bool:
+    stored = dataset.tags(ns="IMAGE_STRUCTURE")
+    compression = stored.get("COMPRESSION", "")
+    # WebP keeps an alpha band as it is, whatever it does to the colours.
+    lossy = stored.get("COMPRESSION_REVERSIBILITY") == "LOSSY" and compression != "WEBP"
+    return lossy or "JPEG" in compression
+
+
+def _is_lossy_part(path: Path) -> bool:
+    try:
+        with _open(path) as dataset:
+            return _is_lossy(dataset)
+    except InputError:  # VRTs show files of more kinds than are read by themselves
+        return False
 
 
 def _rio(window: Window) -> RioWindow:

@@ -16,19 +16,17 @@ from numpy.typing import NDArray
 
 from hrt_cli.errors import InputError
 from hrt_cli.raster.grid import Grid
+from hrt_cli.raster.margins import margin_notes
 from hrt_cli.raster.mosaic import Layer, Valid, open_layer
-from hrt_cli.raster.windows import Planes, Window, blocks
+from hrt_cli.raster.windows import Planes, Window, blocks, probe_windows
 
 if TYPE_CHECKING:
-    from hrt_cli.raster.aoi import PixelArea
+    from hrt_cli.raster.pixel_area import PixelArea
 
 _STRETCH_QUANTILES = (0.005, 0.995)
 _PROBE_WINDOWS = 4
 _STRETCH_WINDOWS = 12
 """Windows along each axis: what is only counted needs fewer than the quantiles of a stretch."""
-_PROBE_PX = 128
-_PROBE_BLOCK_PX = 256
-"""The probe keeps to blocks of this size, whatever the file's, so that it sees the same in one file and in tiles."""
 _SEARCH_PX = 1024
 _FEW = 100_000
 
@@ -181,7 +179,7 @@ class Image:
         """
         stretched = self.raster.dtype != "uint8" and self.raster.palette is None
         values, total = [], 0
-        for window in _probe_windows(self.shape, _STRETCH_WINDOWS if stretched else _PROBE_WINDOWS):
+        for window in probe_windows(self.shape, _STRETCH_WINDOWS if stretched else _PROBE_WINDOWS):
             values.append(self._valid_colours(window))
             total += window.height * window.width
         found = np.concatenate(values, axis=1)
@@ -196,6 +194,7 @@ class Image:
                 low, high = float(found.min()), float(found.max())
             self.stretch = Stretch(float(low), float(high))
             self.notes.append(f"its {self.raster.dtype} values are stretched to 8 bits: {low:g} to 0, {high:g} to 255")
+            self._note_largest(found)
         thinned = found[:, None, :: max(1, found.shape[1] // _FEW)]
         self._probed = _codes(self._planes(thinned)[:, 0])
 
@@ -209,7 +208,9 @@ class Image:
         """
         from hrt_cli.raster.aoi import read_aoi
 
-        area = read_aoi(aoi).require_on(self.raster.grid, self.raster.path)
+        drawn = read_aoi(aoi)
+        area = drawn.require_on(self.raster.grid, self.raster.path)
+        self.notes += [f"of the area {aoi}: {note}" for note in drawn.notes]
         bounds = area.bounds
         self.grid = _window_grid(self.raster.grid, bounds)
         self._area, self._aoi, self._origin = area, aoi, (bounds.row, bounds.col)
@@ -259,6 +260,18 @@ class Image:
         planes = colours if self.stretch is None else self.stretch.apply(colours)
         return planes if len(planes) == 3 else np.broadcast_to(planes, (3, *planes.shape[1:]))
 
+    def _note_largest(self, found: NDArray[Any]) -> None:
+        """Tell of pixels [band, n] at the type's largest value, as OpenDroneMap writes them where it saw nothing."""
+        if found.dtype.kind == "f":
+            return
+        largest = np.iinfo(found.dtype).max
+        share = float((found == largest).all(axis=0).mean())
+        if share > 1 - _STRETCH_QUANTILES[1]:
+            self.notes.append(
+                f"{share:.0%} of its valid pixels are {largest} in all bands, untextured or saturated, and widen the "
+                f"stretch; --nodata {largest} leaves them out"
+            )
+
     def _search_valid(self) -> NDArray[Any]:
         for window in blocks(self.shape, _SEARCH_PX):
             found = self._valid_colours(window)
@@ -301,7 +314,7 @@ def open_orthomosaic(
     unreferenced : bool
         Accept one plain image: lengths are pixels, and the result has no CRS.
     aoi : Path, optional
-        GeoJSON polygons to clip the image to.
+        GeoJSON or KML polygons to clip the image to.
 
     Raises
     ------
@@ -314,6 +327,7 @@ def open_orthomosaic(
     with open_layer(paths, bands=bands, nodata=nodata, unreferenced=unreferenced) as raster:
         image = Image(raster)
         image.probe()
+        image.notes.extend(margin_notes(raster))
         if aoi is not None:
             image.clip(aoi)
         yield image
@@ -351,23 +365,3 @@ def _window_grid(grid: Grid, window: Window) -> Grid:
 def _middles(length: int, step: int) -> NDArray[np.intp]:
     """Index the middle of each piece of `step` pixels, the last piece being what is left."""
     return np.minimum(np.arange(0, length, step) + step // 2, length - 1)
-
-
-def _in_blocks(starts: NDArray[Any]) -> NDArray[Any]:
-    """Move windows that reach into the next block back into theirs, so that each costs the decoding of one only."""
-    return np.asarray(np.minimum(starts, starts // _PROBE_BLOCK_PX * _PROBE_BLOCK_PX + _PROBE_BLOCK_PX - _PROBE_PX))
-
-
-def _probe_windows(shape: tuple[int, int], along: int) -> list[Window]:
-    """Windows on a regular lattice over the raster, each inside one block; all of it where it is small."""
-    if max(shape) <= along * _PROBE_PX // 2:
-        return list(blocks(shape, _PROBE_PX * 4))
-    middles = (np.arange(along) + 0.5) / along
-    tops = np.clip(middles * shape[0] - _PROBE_PX / 2, 0, max(shape[0] - _PROBE_PX, 0)).astype(int)
-    lefts = np.clip(middles * shape[1] - _PROBE_PX / 2, 0, max(shape[1] - _PROBE_PX, 0)).astype(int)
-    tops, lefts = _in_blocks(tops), _in_blocks(lefts)
-    return [
-        Window(int(top), int(left), min(_PROBE_PX, shape[0]), min(_PROBE_PX, shape[1]))
-        for top in sorted(set(tops))
-        for left in sorted(set(lefts))
-    ]

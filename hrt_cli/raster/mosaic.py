@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -18,6 +17,7 @@ from numpy.typing import NDArray
 from rasterio.enums import ColorInterp
 
 from hrt_cli.errors import ArgumentError, InputError
+from hrt_cli.raster.files import choose_files
 from hrt_cli.raster.gate import DatasetPool, Raster, is_nodata, load_raster
 from hrt_cli.raster.grid import Grid, require_measurable
 from hrt_cli.raster.windows import Window
@@ -27,15 +27,11 @@ MAX_OPEN = 32
 _SAME_SIZE = 1e-6
 _SAME_LATTICE_PX = 0.01
 _MAX_SPREAD = 1000
-_TILES = (".tif", ".tiff", ".jp2", ".img")
-_PLAIN_TILES = (".png", ".jpg", ".jpeg")
-"""Previews where there are GeoTIFFs; else tiles that a side-car places."""
-_SIDE_CARS = (
-    *(".ovr", ".msk", ".xml", ".aux", ".rrd", ".ige", ".qml", ".qmd", ".sld", ".clr", ".prj", ".wkt", ".txt", ".csv"),
-    *(".tfw", ".tifw", ".tiffw", ".j2w", ".jp2w", ".igw", ".pgw", ".pngw", ".jgw", ".jpgw", ".jpegw", ".wld"),
-    *(".json", ".geojson", ".gpkg", ".kml", ".kmz", ".shp", ".shx", ".dbf", ".cpg", ".pdf", ".html", ".md", ".md5"),
-)
-_NAMED_AT_MOST = 3
+_BLURRED_ALPHA = 127
+"""Alpha up to which a pixel is transparent where compression with loss has blurred the steps from 0 to 255."""
+
+UNTEXTURED = np.float32(2**32 - 1)
+"""What OpenDroneMap writes into all bands of real values where its mesh has no texture (OdmOrthoPhoto.cpp)."""
 
 Colours = NDArray[Any]
 Valid = NDArray[np.bool_] | None
@@ -49,6 +45,8 @@ class Layer(Protocol):
     ----------
     path : Path
         What messages name.
+    file : Raster
+        The raster, of tiles the first: what its header declares of the bands holds for all.
     grid : Grid
     bands : list of int
         The 1-based bands taken as red, green, blue, or one band taken as grey.
@@ -65,6 +63,7 @@ class Layer(Protocol):
     """
 
     path: Path
+    file: Raster
     grid: Grid
     bands: list[int]
     alpha: int | None
@@ -89,7 +88,7 @@ class Single:
     """One raster as a `Layer`."""
 
     def __init__(self, raster: Raster, bands: tuple[int, ...]) -> None:
-        self._raster = raster
+        self.file = raster
         self.path = raster.path
         self.grid = raster.grid
         self.notes = raster.notes
@@ -97,20 +96,20 @@ class Single:
         alphas = [i + 1 for i, colour in enumerate(raster.colours) if colour == ColorInterp.alpha]
         self.alpha: int | None = alphas[-1] if alphas and alphas[-1] not in self.bands else None
         self.dtype = raster.dtypes[self.bands[0] - 1]
+        if any(raster.dtypes[band - 1] != self.dtype for band in self.bands):
+            raise InputError(raster.path, "its colour bands are of different types", "use gdal_translate -ot")
+        self._transparent = self._transparent_up_to()
         self.palette = raster.palette
         self.block_shape = raster.block_shape
 
     def read(self, window: Window, out: Colours | None = None) -> tuple[Colours, Valid]:
         """See `Layer`."""
-        # The alpha band is read as data: GDAL's own mask calls every pixel of a 16-bit or real ODM file valid.
-        wanted = [*self.bands, self.alpha] if self.alpha else self.bands
-        values = self._raster.read_bands(wanted, window, None if self.alpha else out)
-        colours = values if len(values) == len(self.bands) else values[: len(self.bands)]
-        found = [_having_data(colours, [self._raster.nodata[band - 1] for band in self.bands])]
-        if self.alpha:
-            found.append(values[-1] > 0)
-        elif self._raster.has_mask:
-            found.append(self._raster.read_mask(window))
+        colours, alpha = self._read(window, out)
+        found = [_having_data(colours, [self.file.nodata[band - 1] for band in self.bands])]
+        if alpha is not None:
+            found.append(alpha > self._transparent)
+        elif self.file.has_mask:
+            found.append(self.file.read_mask(window))
         valid: Valid = None
         for one in found:
             valid = one if valid is None else valid if one is None else valid & one
@@ -118,7 +117,24 @@ class Single:
 
     def sources(self) -> dict[str, Path]:
         """See `Layer`."""
-        return self._raster.sources()
+        return self.file.sources()
+
+    def _read(self, window: Window, out: Colours | None) -> tuple[Colours, NDArray[Any] | None]:
+        """Read the colours, and the alpha band as data: GDAL's own mask takes all of a real-valued one for valid."""
+        if self.alpha is None:
+            return self.file.read_bands(self.bands, window, out), None
+        if self.file.dtypes[self.alpha - 1] != self.dtype:  # as only a VRT can have it
+            return self.file.read_bands(self.bands, window, out), self.file.read_bands([self.alpha], window)[0]
+        values = self.file.read_bands([*self.bands, self.alpha], window)
+        return values[: len(self.bands)], values[-1]
+
+    def _transparent_up_to(self) -> int:
+        if self.alpha is None or not self.file.lossy or self.file.dtypes[self.alpha - 1] != "uint8":
+            return 0
+        self.notes.append(
+            f"its alpha band is compressed with loss: pixels count as data where it is more than {_BLURRED_ALPHA}"
+        )
+        return _BLURRED_ALPHA
 
     def require_like(self, other: Single) -> None:
         """Refuse a tile whose pixels do not mean what another's do.
@@ -128,7 +144,7 @@ class Single:
         InputError
             The number, types, meaning or colour table of the bands differ.
         """
-        mine, its = self._raster, other._raster
+        mine, its = self.file, other.file
         beside = f"does not go with {other.path}"
         if mine.count != its.count:
             raise InputError(self.path, f"{beside}: it has {mine.count} bands, not {its.count}")
@@ -165,7 +181,8 @@ class Mosaic:
         self.grid, self._origins = _union(path, [tile.path for tile in tiles], [tile.grid for tile in tiles])
         self._ends = self._origins + np.array([tile.grid.shape for tile in tiles])
         self._tiles = tiles
-        self.bands, self.alpha, self.dtype, self.palette = first.bands, first.alpha, first.dtype, first.palette
+        self.file, self.bands, self.alpha = first.file, first.bands, first.alpha
+        self.dtype, self.palette = first.dtype, first.palette
         self.block_shape = first.block_shape
         self.notes = list(dict.fromkeys(note for tile in tiles for note in tile.notes))
 
@@ -209,14 +226,6 @@ class Mosaic:
         return self._tiles[index].read(Window(window.row - row, window.col - col, window.height, window.width))
 
 
-@dataclass
-class _Choice:
-    """Which files are meant, in the order of their names, and what was left out."""
-
-    files: list[Path] = field(default_factory=list)
-    notes: list[str] = field(default_factory=list)
-
-
 @contextmanager
 def open_layer(
     paths: Sequence[Path], *, bands: tuple[int, ...], nodata: float | None, unreferenced: bool
@@ -236,7 +245,7 @@ def open_layer(
         A file is no raster that the gate lets through, a folder holds none, a file is given twice, or the rasters
         do not lie on one lattice with the same bands.
     """
-    choice = _choose_files(paths)
+    choice = choose_files(paths)
     if unreferenced and len(choice.files) > 1:
         raise InputError(
             choice.files[1], f"has no place beside {choice.files[0]}: --unreferenced takes one plain image"
@@ -247,53 +256,6 @@ def open_layer(
         layer: Layer = tiles[0] if len(tiles) == 1 else Mosaic(tiles, paths[0] if len(paths) == 1 else tiles[0].path)
         layer.notes.extend(choice.notes)
         yield layer
-
-
-def _choose_files(paths: Sequence[Path]) -> _Choice:
-    """List the files that are meant, sorted by name."""
-    if not paths:
-        raise ArgumentError("no orthomosaic is named")
-    choice = _Choice()
-    for path in paths:
-        if path.is_dir():
-            _choose_in_folder(path, choice)
-        else:
-            choice.files.append(path)
-    choice.files.sort(key=lambda path: (path.name, path.absolute().as_posix()))
-    seen: dict[tuple[int, int], Path] = {}
-    for path in choice.files:
-        if not path.is_file():
-            raise InputError(path, "no such file")
-        status = path.stat()
-        identity = status.st_dev, status.st_ino
-        if identity in seen:
-            raise InputError(path, f"is the same file as {seen[identity]}: give it once")
-        seen[identity] = path
-    choice.notes.sort()
-    return choice
-
-
-def _choose_in_folder(folder: Path, choice: _Choice) -> None:
-    try:
-        inside = sorted(path for path in folder.iterdir() if not path.name.startswith("."))
-    except OSError as error:
-        raise InputError(folder, f"cannot be read: {error.strerror or error}") from error
-    files = [path for path in inside if path.is_file()]
-    tiles = [path for path in files if path.suffix.lower() in _TILES]
-    plain = [path for path in files if path.suffix.lower() in _PLAIN_TILES]
-    if not tiles:
-        tiles, plain = plain, []
-    if not tiles:
-        vrts = [path for path in files if path.suffix.lower() == ".vrt"]
-        remedy = f"name {vrts[0]} itself" if vrts else f"tiles end in {', '.join(_TILES + _PLAIN_TILES)}"
-        raise InputError(folder, "is a folder without rasters", remedy)
-    stems = {path.stem for path in tiles}
-    expected = {*tiles, *(path for path in plain if path.stem in stems)}
-    unused = [path.name for path in inside if path not in expected and path.suffix.lower() not in _SIDE_CARS]
-    if unused:
-        more = f" and {len(unused) - _NAMED_AT_MOST} more" if len(unused) > _NAMED_AT_MOST else ""
-        choice.notes.append(f"not used of the folder {folder.name}: {', '.join(unused[:_NAMED_AT_MOST])}{more}")
-    choice.files.extend(tiles)
 
 
 def _union(path: Path, paths: list[Path], grids: list[Grid]) -> tuple[Grid, NDArray[np.int64]]:
@@ -343,6 +305,8 @@ def _place(path: Path, grid: Grid, lattice_path: Path, lattice: Grid) -> tuple[i
 def _having_data(colours: Colours, nodata: list[float | None]) -> Valid:
     """Where a pixel is data: not where all its bands are nodata (one alone may be black), nor where any is no number.
 
+    Neither is what has no texture.
+
     Only what may be nodata is looked at: most files declare none, and whole numbers are all finite.
     """
     real = colours.dtype.kind == "f"
@@ -352,6 +316,7 @@ def _having_data(colours: Colours, nodata: list[float | None]) -> Valid:
     if real:
         for plane in colours:
             valid &= np.isfinite(plane)
+        valid &= ~(colours == UNTEXTURED).all(axis=0)
     empty = is_nodata(colours[0], nodata[0])
     for plane, value in zip(colours[1:], nodata[1:], strict=True):
         if not empty.any():

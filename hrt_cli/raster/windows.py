@@ -5,10 +5,14 @@ from __future__ import annotations
 import itertools
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
+
+_PROBE_PX = 128
+_PROBE_BLOCK_PX = 256
+"""A probe keeps to blocks of this size, whatever the file's, so that it sees the same in one file and in tiles."""
 
 
 @dataclass(frozen=True)
@@ -97,3 +101,23 @@ def _edges(length: int, size: int, anchor: int) -> list[int]:
     first = (-anchor) % size
     inner = range(first, length, size)
     return sorted({0, length, *inner})
+
+
+def probe_windows(shape: tuple[int, int], along: int) -> list[Window]:
+    """Return windows on a lattice of `along` x `along` over a raster, each inside one block; all where it is small."""
+    if max(shape) <= along * _PROBE_PX // 2:
+        return list(blocks(shape, _PROBE_PX * 4))
+    middles = (np.arange(along) + 0.5) / along
+    tops = np.clip(middles * shape[0] - _PROBE_PX / 2, 0, max(shape[0] - _PROBE_PX, 0)).astype(int)
+    lefts = np.clip(middles * shape[1] - _PROBE_PX / 2, 0, max(shape[1] - _PROBE_PX, 0)).astype(int)
+    tops, lefts = _in_blocks(tops), _in_blocks(lefts)
+    return [
+        Window(int(top), int(left), min(_PROBE_PX, shape[0]), min(_PROBE_PX, shape[1]))
+        for top in sorted(set(tops))
+        for left in sorted(set(lefts))
+    ]
+
+
+def _in_blocks(starts: NDArray[Any]) -> NDArray[Any]:
+    """Move windows that reach into the next block back into theirs, so that each costs the decoding of one only."""
+    return np.asarray(np.minimum(starts, starts // _PROBE_BLOCK_PX * _PROBE_BLOCK_PX + _PROBE_BLOCK_PX - _PROBE_PX))

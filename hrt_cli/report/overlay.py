@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-STAGE_VERSION = 1
+STAGE_VERSION = 2
 MAX_PX = 1400
 _OVERLAY_ALPHA = 0.55
 _PATH_COLOUR = "#ffffff"

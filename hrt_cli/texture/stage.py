@@ -19,6 +19,7 @@ from hrt_cli.raster.classes import publishing_classes
 from hrt_cli.raster.cog import cog_provenance
 from hrt_cli.raster.gate import open_raster
 from hrt_cli.raster.image import Image, open_orthomosaic
+from hrt_cli.raster.recognise import require_picture
 from hrt_cli.texture.cells import Cells, Filler, measured, rows_at_once
 from hrt_cli.texture.cluster import best, cluster, consider
 from hrt_cli.texture.grow import MIN_SHARE, grow, novel
@@ -27,7 +28,7 @@ from hrt_cli.texture.segment import SegmentSpec, SegmentStats, draw_sample, pred
 from hrt_cli.texture.start import spare_linear_algebra
 
 STAGE = "segment"
-STAGE_VERSION = 3
+STAGE_VERSION = 4
 
 
 @dataclass(frozen=True)
@@ -166,6 +167,8 @@ def segment_file(
         if path.is_dir() and output.resolve().parent == path.resolve():
             raise OutputError(f"{output}: lies among the tiles of {path}, of which it would be one; write it elsewhere")
     with open_orthomosaic(paths, **vars(image_options)) as image:
+        if not image_options.bands:
+            image.notes.extend(require_picture(image))
         inputs = {**image.sources(), **({"model": wanted.model_path} if wanted.model_path else {})}
         outputs: dict[Path, ReadProvenance] = {
             output: cog_provenance,

@@ -253,4 +253,4 @@ def test_the_command_refuses_a_margin_without_a_limit(tmp_path) -> None:
     words = ["scoremap", str(tmp_path / "c.tif"), "-o", str(tmp_path / "s.tif"), "--margin", "1"]
     done = CliRunner().invoke(cli, words)
     assert done.exit_code == 2
-    assert "--margin keeps away from what --no-go-below bars: give both" in done.stderr
+    assert "--margin keeps away from what --no-go-below, --keep-out or --aoi bars" in done.stderr

@@ -65,6 +65,47 @@ def test_snakemake(project: Path) -> None:
     assert "Nothing to be done" in again.stdout + again.stderr
 
 
+def put_limits(folder: Path) -> dict[str, str]:
+    """Put an area of interest and two keep-outs about the middle of the sample site into a project."""
+    shutil.copy(ROOT / "fixtures" / "meadow" / "aoi.geojson", folder / "area.geojson")
+    ring = json.loads((folder / "area.geojson").read_text())["features"][0]["geometry"]["coordinates"][0]
+    lon, lat = (sum(axis) / len(ring) for axis in zip(*ring, strict=True))
+    for name, east in (("pond", 0.0), ("shed", 4e-5)):
+        corners = [(lon + east + x, lat + y) for x, y in ((0, 0), (2e-5, 0), (0, 2e-5), (0, 0))]
+        points = " ".join(f"{x:.8f},{y:.8f}" for x, y in corners)
+        (folder / f"{name}.kml").write_text(
+            "<kml><Placemark><Polygon><outerBoundaryIs><LinearRing><coordinates>"
+            f"{points}</coordinates></LinearRing></outerBoundaryIs></Polygon></Placemark></kml>"
+        )
+    return {"aoi": "area.geojson", "keep_out": "pond.kml shed.kml", "no_go_below": "", "margin_m": "0.5"}
+
+
+@pytest.mark.skipif(shutil.which("make") is None, reason="make is not installed")
+def test_make_keeps_the_robot_within_its_limits(project: Path) -> None:
+    given = [f"{key}={value}" for key, value in put_limits(project).items()]
+    told = make(project, *given, "out/scoremap.tif")
+    assert "--aoi area.geojson --keep-out pond.kml --keep-out shed.kml" in told
+    assert "outside the area of interest" in told
+    assert "up to date" in make(project, *given, "out/scoremap.tif")
+    (project / "shed.kml").write_text((project / "shed.kml").read_text().replace("<kml>", "<kml >"))
+    again = make(project, *given, "out/scoremap.tif")
+    assert "hrt scoremap" in again
+    assert "hrt segment" not in again
+    assert "--margin" not in make(project, "-n", "no_go_below=", "margin_m=0.5", "out/scoremap.tif")
+
+
+@pytest.mark.skipif(shutil.which("snakemake", path=ENV["PATH"]) is None, reason="snakemake is not installed")
+@pytest.mark.parametrize("file", ["Snakefile", "rounds.smk"])
+def test_snakemake_keeps_it_there_by_the_same_options(project: Path, file: str) -> None:
+    config = [f"{key}={value}" for key, value in {**put_limits(project), "robot": "real"}.items()]
+    command = ["snakemake", "-n", "-p", "--cores", "1", "--directory", str(project), "--snakefile", str(project / file)]
+    done = subprocess.run([*command, "--config", *config], env=ENV, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    options = r"--aoi area\.geojson --keep-out pond\.kml --keep-out shed\.kml +--margin 0\.5 "
+    assert re.search(rf"hrt scoremap .*{options}", done.stdout + done.stderr)
+    assert re.search(r"input: .*shed\.kml", done.stdout + done.stderr)
+
+
 def test_init_leaves_edited_files_alone(project: Path) -> None:
     refused = subprocess.run(["hrt", "init", str(project)], env=ENV, capture_output=True, text=True, check=False)
     assert refused.returncode == 1

@@ -16,8 +16,9 @@ from rasterio.crs import CRS
 from rasterio.features import geometry_mask
 
 from hrt_cli.errors import InputError
-from hrt_cli.raster.aoi import Aoi, PixelArea, read_aoi
+from hrt_cli.raster.aoi import Aoi, read_aoi
 from hrt_cli.raster.grid import Grid
+from hrt_cli.raster.pixel_area import PixelArea
 from hrt_cli.raster.windows import Window
 
 UTM = CRS.from_epsg(32633)
@@ -158,7 +159,7 @@ def test_what_is_no_area_is_refused_by_name(tmp_path: Path, name: str) -> None:
 
 
 def test_too_many_positions_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("hrt_cli.raster.aoi.MAX_POSITIONS", 9)
+    monkeypatch.setattr("hrt_cli.raster.polygons.MAX_POSITIONS", 9)
     path = written(tmp_path, collection(polygon(RING), polygon(RING)))
     with pytest.raises(InputError, match="more than 9 positions"):
         read_aoi(path)

@@ -1,0 +1,140 @@
+"""What other rasters add to the cells of a scoremap: a surface model says where, a raster of interest says why."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from hrt_cli.drivability.cells import Cover
+from hrt_cli.drivability.interest import Interest, degree, open_interest, values_on, weighed
+from hrt_cli.drivability.surface import SHOWN_M, Ground, Relief, ground_of, open_surface
+from hrt_cli.drivability.thermal import Units, in_celsius, settle
+from hrt_cli.errors import InputError
+from hrt_cli.raster.gate import Raster, open_raster
+from hrt_cli.raster.scoremap import Scoremap
+
+_OF_INTEREST = ("interest_range", "interest_cells")
+_OF_RELIEF = ("steep_cells", "rough_cells", "terrain_unknown_share")
+
+
+def sources(raster: Raster, role: str) -> dict[str, Path]:
+    """Return the files of a raster by role: itself, a mask side-car, the parts of a VRT."""
+    return {name.replace("raster", role, 1): path for name, path in raster.sources().items()}
+
+
+def interest_files(interest: Interest) -> tuple[dict[str, Path], Units | None, list[str]]:
+    """Return the files of a raster of interest by role, the unit that it is to be read in, and notes on that.
+
+    Raises
+    ------
+    InputError
+        It cannot be used, or its unit is not as asked (see `thermal.settle`).
+    """
+    with open_interest(interest.path) as raster:
+        units, note = settle(raster, interest.units)
+        return sources(raster, "interest"), units, [note] if note else []
+
+
+def surface_files(relief: Relief) -> tuple[dict[str, Path], float]:
+    """Return the files of a surface model by role, and the side of its pixels in metres.
+
+    Raises
+    ------
+    InputError
+        It cannot be used.
+    """
+    with open_surface(relief.path) as raster:
+        return sources(raster, "dsm"), max(raster.grid.pixel_m)
+
+
+def relief_on(relief: Relief, covered: Cover, cell_m: float) -> Ground:
+    """Return slope and ruggedness of the cells.
+
+    Raises
+    ------
+    InputError
+        As `ground_of`; or no height is known in any cell that has a class.
+    """
+    with open_surface(relief.path) as raster:
+        ground = ground_of(raster, covered.grid, cell_m)
+    if not (ground.known & covered.seen).any():
+        raise InputError(relief.path, "tells the height of no cell that has a class")
+    return ground
+
+
+def relief_tags(relief: Relief, ground: Ground, covered: Cover, go: NDArray[np.bool_]) -> dict[str, Any]:
+    """Return what is told of the relief; `go` [rows, cols] are the cells that may be entered in the end."""
+    return {
+        "steep_cells": int((covered.seen & (ground.slope_deg >= relief.slope_limit_deg)).sum()),
+        "rough_cells": int((covered.seen & (ground.rugosity >= relief.rugosity_limit)).sum()),
+        "terrain_unknown_share": float((go & ~ground.known).sum() / go.sum()),
+    }
+
+
+def relief_notes(relief: Relief, cell_m: float, pixel_m: float, unknown_share: float) -> list[str]:
+    """Return what the user ought to know of a surface model with pixels of `pixel_m`."""
+    notes = []
+    if unknown_share > 0:
+        percent = f"{unknown_share:.1%}" if unknown_share >= 0.001 else "less than 0.1%"
+        notes.append(f"{relief.path}: has no heights for {percent} of the cells to go, which count as level")
+    if pixel_m > min(cell_m, SHOWN_M) * (1 + 1e-3):
+        notes.append(f"{relief.path}: its pixels measure {pixel_m:.2g} m: obstacles smaller than that do not show")
+    return notes
+
+
+def with_interest(scoremap: Scoremap, interest: Interest, units: Units | None) -> tuple[Scoremap, dict[str, Any]]:
+    """Return the scoremap with its scores weighed by interest, and what is told of it.
+
+    Raises
+    ------
+    InputError
+        See `degree`.
+    """
+    with open_interest(interest.path) as raster:
+        values = values_on(raster, scoremap.grid, interest.cell)
+        real = values if units is None else in_celsius(values, raster, units)
+    go = np.isfinite(scoremap.score)
+    tags: dict[str, Any] = {}
+    if interest.radius_m is None:
+        share, low, high = degree(interest, real, go)
+    else:
+        from hrt_cli.drivability.reach import interest_at_stations  # it brings a compiler
+
+        radius = interest.radius_m / scoremap.cell_size_m
+        share, low, high = degree(interest, real, ndimage.distance_transform_edt(~go) <= radius + 1e-9)
+        share, tags["interest_out_of_reach"] = interest_at_stations(real, share, go, radius)
+    if units is not None:
+        tags["thermal_units"] = units
+    tags |= {"interest_range": [low, high], "interest_cells": int(((share > 0) & go).sum())}
+    score, sd = (weighed(plain, share, interest.weight) for plain in (scoremap.score, scoremap.sd))
+    return Scoremap(score, sd, scoremap.grid, scoremap.cell_size_m), tags
+
+
+def told_by(path: Path, interest: Interest | None, relief: Relief | None) -> dict[str, Any]:
+    """Return what a scoremap of ours, made with these layers, was tagged with.
+
+    Raises
+    ------
+    InputError
+        The tags are damaged.
+    """
+    wanted = [*(_OF_INTEREST if interest else ()), *(_OF_RELIEF if relief else ())]
+    if interest and interest.radius_m is not None:
+        wanted.append("interest_out_of_reach")
+    if interest and interest.units is not None:
+        wanted.append("thermal_units")
+    with open_raster(path) as raster:
+        tags = raster.hrt_tags
+    try:
+        told = {name: json.loads(tags[name.upper()]) for name in wanted}
+        if interest:
+            low, high = told["interest_range"]
+            told["interest_range"] = float(low), float(high)
+    except (KeyError, ValueError, TypeError, RecursionError) as error:
+        raise InputError(path, "its tags are damaged", "use --force to make it again") from error
+    return told

@@ -1,0 +1,217 @@
+"""A surface model on the cells of a scoremap: how steep and how rough the ground of each cell is.
+
+What stops a robot is smaller than a cell: a step of 0.35 m, averaged over cells of a metre, is a mild slope. So the
+heights are laid on a lattice as fine as the robot's wheelbase, slope and ruggedness are taken there, and a cell has
+those of the worst place in it.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from affine import Affine
+from numpy.typing import NDArray
+from rasterio.enums import ColorInterp
+
+from hrt_cli.drivability.relief import eased, gradient, greatest_in_cells, ruggedness, slope
+from hrt_cli.errors import ArgumentError, InputError
+from hrt_cli.raster.align import MAX_PX, field_on, window_or_none
+from hrt_cli.raster.gate import Raster, open_raster
+from hrt_cli.raster.grid import Grid
+from hrt_cli.raster.windows import Window, blocks
+
+Values = NDArray[np.float32]
+
+LATTICE_M = 0.25
+"""Points are so far apart, so that three of them span a robot: over that a step of 0.35 m is a slope of 35 degrees."""
+SHOWN_M = 0.5
+"""Of a surface model with larger pixels a note says what it cannot show."""
+
+_HALO = 2
+"""Points beyond the cells that their windows reach: one for the slope, one more for the ruggedness."""
+_BLOCK_POINTS = 1024
+_BLOCK_PX = 4096
+_AS_FINE = 1 + 1e-6
+
+VOID = (-9999.0, -10000.0, -32767.0, -32768.0, float(np.finfo(np.float32).min))
+"""What OpenDroneMap, Pix4D and others write where there is no height, also where they do not declare it."""
+
+_FOOT_M, _US_FOOT_M = 0.3048, 1200 / 3937
+_UNITS_M = {
+    **dict.fromkeys(("m", "metre", "metres", "meter", "meters"), 1.0),
+    **dict.fromkeys(("cm", "centimetre", "centimeter"), 0.01),
+    **dict.fromkeys(("mm", "millimetre", "millimeter"), 0.001),
+    **dict.fromkeys(("ft", "foot", "feet", "international foot"), _FOOT_M),
+    **dict.fromkeys(("us-ft", "ftus", "us survey foot", "us survey feet", "foot_us", "survey foot"), _US_FOOT_M),
+}
+_VERTICAL = re.compile(r"\bVERTCRS\[")
+_LENGTH_UNIT = re.compile(r'\bLENGTHUNIT\["[^"]*",([0-9.eE+-]+)')
+
+
+@dataclass(frozen=True)
+class Relief:
+    """A surface model, and from where on its ground is no-go.
+
+    Attributes
+    ----------
+    path : Path
+        A raster of heights, of any CRS, extent and resolution.
+    slope_limit_deg : float
+        Slope in degrees.
+    rugosity_limit : float
+        Vector Ruggedness Measure, 0 to 1. 0.1 is rubble whose faces are tilted by 26 degrees every way (1 - cos 26°).
+    """
+
+    path: Path
+    slope_limit_deg: float = 35.0
+    rugosity_limit: float = 0.1
+
+    def __post_init__(self) -> None:
+        if not (0 < self.slope_limit_deg <= 90 and 0 < self.rugosity_limit <= 1):
+            raise ArgumentError(
+                "a slope limit is from 0 to 90 degrees, a limit of the ruggedness from 0 to 1, both above 0"
+            )
+
+    @property
+    def parameters(self) -> dict[str, Any]:
+        """What goes into the fingerprint beside the raster's bytes."""
+        return {"slope_limit_deg": self.slope_limit_deg, "rugosity_limit": self.rugosity_limit}
+
+
+@dataclass(frozen=True)
+class Ground:
+    """What a surface model says of the cells of a map.
+
+    Attributes
+    ----------
+    slope_deg : float32 [rows, cols]
+        The steepest slope in each cell, degrees; NaN where no height is known.
+    rugosity : float32 [rows, cols]
+        Its greatest Vector Ruggedness Measure, 0 to 1; NaN likewise.
+    """
+
+    slope_deg: Values
+    rugosity: Values
+
+    @property
+    def known(self) -> NDArray[np.bool_]:
+        """Cells of which the slope is known."""
+        return np.isfinite(self.slope_deg)
+
+    def ease(self, relief: Relief) -> NDArray[np.float64]:
+        """Return by what each cell's score counts: 0 at or beyond a limit; what is not known counts as level."""
+        slope_deg, rugosity = (np.nan_to_num(values, nan=0.0) for values in (self.slope_deg, self.rugosity))
+        return eased(slope_deg, rugosity, relief.slope_limit_deg, relief.rugosity_limit)
+
+
+@contextmanager
+def open_surface(path: Path) -> Iterator[Raster]:
+    """Open a surface or terrain model through the gate.
+
+    Raises
+    ------
+    InputError
+        As `open_raster`, and where it has several bands or its unit of height is not known.
+    """
+    with open_raster(path) as raster:
+        alpha = raster.count == 2 and raster.colours[1] == ColorInterp.alpha
+        if raster.count != 1 and not alpha:
+            raise InputError(path, f"has {raster.count} bands; a surface model has one: heights")
+        height_unit_m(raster)
+        yield raster
+
+
+def height_unit_m(raster: Raster) -> float:
+    """Return how many metres one unit of height is: by the band's unit tag, else the vertical CRS, else 1.
+
+    Raises
+    ------
+    InputError
+        The tag names no known unit of length, or another one than the CRS.
+    """
+    tag = raster.units[0].strip().lower()
+    by_tag = _UNITS_M.get(tag)
+    if tag and by_tag is None:
+        raise InputError(raster.path, f"has heights in {tag!r}, no unit of length known here", "convert it to metres")
+    by_crs = _vertical_unit_m(raster.grid)
+    if by_tag is not None and by_crs is not None and not math.isclose(by_tag, by_crs, rel_tol=1e-4):
+        raise InputError(
+            raster.path,
+            f"says that its heights are in {tag!r}, while a unit of its vertical CRS is {by_crs:g} m",
+            "correct one of them, as with gdal_edit -a_srs",
+        )
+    return by_tag or by_crs or 1.0
+
+
+def _vertical_unit_m(grid: Grid) -> float | None:
+    text = grid.crs.to_wkt(version="WKT2_2019") if grid.crs is not None else ""
+    found = _VERTICAL.search(text)
+    # A VERTCRS ends the text of a compound CRS, its unit stands at its end.
+    units = _LENGTH_UNIT.findall(text, found.end()) if found else []
+    return float(units[-1]) if units else None
+
+
+def ground_of(raster: Raster, grid: Grid, cell_m: float) -> Ground:
+    """Return slope and ruggedness on the cells of a map.
+
+    Parameters
+    ----------
+    raster : Raster
+        Of `open_surface`.
+    grid : Grid
+        The cells.
+    cell_m : float
+        Their side in metres on the ground.
+
+    Raises
+    ------
+    InputError
+        It lies wholly beside the cells, or is too fine for cells as large.
+    """
+    if window_or_none(raster.path, raster.grid, grid) is None:
+        raise InputError(raster.path, "does not cover the place: it lies wholly beside the class raster")
+    pixel_m = max(raster.grid.pixel_m)
+    if (cell_m / min(raster.grid.pixel_m)) ** 2 > MAX_PX / 4:
+        raise InputError(raster.path, f"has pixels of {pixel_m:g} m, too fine for cells of {cell_m:g} m", "resample it")
+    per_cell, per_point = _lattice(cell_m, pixel_m)
+    side = max(1, min(_BLOCK_POINTS // per_cell, int(_BLOCK_PX * pixel_m / cell_m))) * per_point
+    found = Ground(np.full(grid.shape, np.nan, np.float32), np.full(grid.shape, np.nan, np.float32))
+    for block in blocks(grid.shape, side):
+        steep, rough = _block(raster, grid, block, per_point / per_cell)
+        for values, onto in ((steep, found.slope_deg), (rough, found.rugosity)):
+            in_cells = greatest_in_cells(values, per_cell)
+            spread = in_cells.repeat(per_point, axis=0).repeat(per_point, axis=1)
+            onto[block.slices] = spread[: block.height, : block.width]
+    return found
+
+
+def _lattice(cell_m: float, pixel_m: float) -> tuple[int, int]:
+    """Return how many points of the lattice lie along a cell, and how many cells along a point; one of them is 1.
+
+    Points are `LATTICE_M` apart, a little more where a cell is no multiple of that, and not closer than pixels.
+    """
+    per_cell = max(1, math.floor(cell_m / max(LATTICE_M, pixel_m) * _AS_FINE))
+    return per_cell, max(1, round(LATTICE_M / cell_m))
+
+
+def _block(raster: Raster, grid: Grid, block: Window, step: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return slope and ruggedness at the points, `step` cells apart, of a block of cells; NaN beside the model."""
+    rows, cols = (math.ceil(side / step - 1e-9) for side in (block.height, block.width))
+    shift = Affine.translation(block.col - _HALO * step, block.row - _HALO * step)
+    part = Grid(rows + 2 * _HALO, cols + 2 * _HALO, grid.transform @ shift @ Affine.scale(step), grid.crs)
+    if window_or_none(raster.path, raster.grid, part) is None:
+        return np.full((rows, cols), np.nan), np.full((rows, cols), np.nan)
+    row_m, col_m = (side * step for side in grid.pixel_m)
+    fine = max(raster.grid.pixel_m) <= max(row_m, col_m) * _AS_FINE
+    heights = field_on(raster, part, "average" if fine else "bilinear", void=VOID).astype(np.float64)
+    heights *= raster.scales[0] * height_unit_m(raster)  # the offset tilts nothing
+    by_row, by_col = gradient(heights, row_m, col_m)
+    inside = slice(_HALO, -_HALO), slice(_HALO, -_HALO)
+    return slope(by_row, by_col)[inside], ruggedness(by_row, by_col)[inside]
