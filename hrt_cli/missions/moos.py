@@ -71,7 +71,6 @@ def to_text(mission: Mission) -> str:
 def _comments(mission: Mission) -> list[str]:
     frame = mission.frame
     about = [
-        # Behind the name stands something: a backslash at the end of a line would join the next to it.
         f"{mission.name}, written by hrt",
         printable(mission.description),
         "x, y are metres from the datum. Put it into the .moos file:",

@@ -16,7 +16,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from pathlib import Path
 
 import numpy as np
 from affine import Affine
@@ -24,20 +23,22 @@ from numpy.typing import NDArray
 
 from hrt_cli.artifacts.plan import Cell
 from hrt_cli.missions.local import LocalFrame
-from hrt_cli.raster.align import warp_onto
+from hrt_cli.missions.mission import fixed
+from hrt_cli.raster.gather import places
 from hrt_cli.raster.grid import Grid, transform_points
 from hrt_cli.raster.scoremap import Scoremap
 
 Bytes = NDArray[np.uint8]
-Scores = NDArray[np.float32]
 
 _UNKNOWN = 255
 _LETHAL = 100
 _HEAVIEST = 99
 _SLOWEST = 10
-_SQUARE = 1e-3
+_DRIFT_CELLS = 0.1
+"""How far a grid may leave the frame's axes or squares from end to end, for its cells to be taken as they are."""
 _METRE_DECIMALS = 6
 _EDGE_POINTS = 33
+_STRIP_PX = 2**22
 _PIXELS_A_CELL = 2
 
 
@@ -58,26 +59,22 @@ def map_files(scoremap: Scoremap, frame: LocalFrame, blocked: Sequence[Cell] = (
     blocked : sequence of (row, col)
         Cells that may not be entered though the scoremap says so: lethal too.
     """
-    score = scoremap.score.copy()
-    if blocked:
-        score[tuple(np.array(blocked).T)] = np.nan
-    score, grid = _in_frame(score, scoremap, frame)
-    go = np.isfinite(score)
     unit = max(1.0, float(np.nanmax(scoremap.score)))
-    percent = np.rint(100.0 * np.nan_to_num(score) / unit).astype(np.uint8)
-    scale = f"100 is a score of {unit:g}."
-    files = _map_files(
-        "scoremap",
-        np.where(go, percent, _UNKNOWN).astype(np.uint8),
-        grid,
-        [f"The score of the cells, a picture: {scale} Unknown is no-go. Not a costmap: 100 is best here."],
-    )
+    percent = np.full(scoremap.score.shape, _UNKNOWN, np.uint8)
+    go = np.isfinite(scoremap.score)
+    percent[go] = np.rint(100.0 * scoremap.score[go] / unit)
+    if blocked:
+        percent[tuple(np.array(blocked).T)] = _UNKNOWN
+    percent, grid = _in_frame(percent, scoremap, frame)
+    go = percent != _UNKNOWN
+    notes = [f"The score of the cells, a picture: 100 is a score of {unit:g}, unknown is no-go. Not a costmap."]
+    files = _map_files("scoremap", percent, grid, notes)
     grade = graded(scoremap)
     weight = np.minimum(_LETHAL - percent, _HEAVIEST) if grade else np.zeros_like(percent)
-    keepout = np.pad(np.where(go, weight, _LETHAL).astype(np.uint8), 1, constant_values=_LETHAL)
+    keepout = np.pad(np.where(go, weight, np.uint8(_LETHAL)), 1, constant_values=_LETHAL)
     files |= _map_files("keepout_mask", keepout, _ringed(grid), _keepout_notes(grade))
     if grade:
-        speed = np.where(go, np.clip(percent, _SLOWEST, 100), _SLOWEST).astype(np.uint8)
+        speed = np.where(go, np.clip(percent, _SLOWEST, 100), np.uint8(_SLOWEST))
         notes = [
             f"For the speed filter: percent of the top speed, {_SLOWEST} at least and where no robot may go.",
             "Unlike in Nav2's own example 100 is the fastest: base 0, multiplier 1 (filter_info.yaml).",
@@ -96,19 +93,29 @@ def _keepout_notes(grade: bool) -> list[str]:
     return notes
 
 
-def _in_frame(score: Scores, scoremap: Scoremap, frame: LocalFrame) -> tuple[Scores, Grid]:
-    """Return scores on a north-up grid of square cells in the local frame (coordinates less its origin)."""
+def _in_frame(percent: Bytes, scoremap: Scoremap, frame: LocalFrame) -> tuple[Bytes, Grid]:
+    """Return cells on a north-up grid of square pixels in the local frame (coordinates less its origin)."""
     grid = scoremap.grid
     a, b, c, d, e, f = grid.transform[:6]
     east_m, north_m = frame.origin
-    upright = a > 0 > e and max(abs(b), abs(d)) <= _SQUARE * a and abs(a + e) <= _SQUARE * a
-    if grid.crs == frame.crs and upright:
-        return score, Grid(grid.rows, grid.cols, Affine(a, 0.0, c - east_m, 0.0, -a, f - north_m), None)
+    drift = max(abs(b) * grid.rows, abs(d) * grid.cols, abs(a + e) * grid.rows)
+    if grid.crs == frame.crs and a > 0 > e and drift <= _DRIFT_CELLS * a:
+        return percent, Grid(grid.rows, grid.cols, Affine(a, 0.0, c - east_m, 0.0, -a, f - north_m), None)
     target = _covering(grid, frame, scoremap.cell_size_m / _PIXELS_A_CELL)
-    out = np.full(target.shape, np.nan, np.float32)
-    warp_onto(Path("scoremap"), score, grid, out, target, "nearest", src_nodata=np.nan, dst_nodata=np.nan, tolerance=0)
-    cell_m, west, top = target.transform.a, target.transform.c, target.transform.f
-    return out, Grid(target.rows, target.cols, Affine(cell_m, 0.0, west - east_m, 0.0, -cell_m, top - north_m), None)
+    out = np.full(target.shape, _UNKNOWN, np.uint8)
+    strip = max(1, _STRIP_PX // target.cols)
+    along = np.arange(target.cols, dtype=np.float64) + 0.5
+    for top in range(0, target.rows, strip):
+        part = out[top : top + strip]
+        down = np.arange(top, top + len(part), dtype=np.float64) + 0.5
+        at = places(target, grid, down, along)
+        rows, cols = (np.floor(where).astype(np.int64) for where in at)
+        on_map = (rows >= 0) & (rows < grid.rows) & (cols >= 0) & (cols < grid.cols)
+        part[on_map] = percent[rows[on_map], cols[on_map]]
+    pixel_m, west, north = target.transform.a, target.transform.c, target.transform.f
+    return out, Grid(
+        target.rows, target.cols, Affine(pixel_m, 0.0, west - east_m, 0.0, -pixel_m, north - north_m), None
+    )
 
 
 def _covering(grid: Grid, frame: LocalFrame, cell_m: float) -> Grid:
@@ -133,7 +140,7 @@ def _ringed(grid: Grid) -> Grid:
 
 def _map_files(name: str, values: Bytes, grid: Grid, notes: list[str]) -> dict[str, bytes]:
     cell_m, west, top = grid.transform.a, grid.transform.c, grid.transform.f
-    corner = ", ".join(f"{value:.{_METRE_DECIMALS}f}" for value in (west + 0.0, top - grid.rows * cell_m + 0.0, 0.0))
+    corner = ", ".join(fixed(value, _METRE_DECIMALS) for value in (west, top - grid.rows * cell_m, 0.0))
     comments = "".join(f"# {note}\n" for note in notes)
     text = f"""{comments}image: {name}.pgm
 mode: raw

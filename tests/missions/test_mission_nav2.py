@@ -172,6 +172,18 @@ def test_ways_there_and_back_meet_in_the_same_nodes() -> None:
     assert len(edges) == 2 * 9
 
 
+@pytest.mark.parametrize("shift", range(8))
+def test_a_place_come_to_again_is_one_node_wherever_it_lies(shift: int) -> None:
+    """On the way back its coordinates may differ in the last digits, on both sides of any border of rounding."""
+    members = sample_plan(SQUARE).model_dump()
+    lon, lat = members["lonlat"][0]
+    members["lonlat"][-1] = (lon + 5e-8, lat - 5e-8)
+    members["waypoints"][-1] |= {"lon": lon + 5e-8, "lat": lat - 5e-8}
+    datum = (lon - 0.001 + shift * 1.3e-8, lat - 0.001)
+    nodes, edges = load_graph(folder(PlanDocument.model_validate(members), datum=datum)["route.geojson"])
+    assert (len(nodes), len(edges)) == (4, 8)
+
+
 def test_a_graph_survives_floats_of_32_bits() -> None:
     plan = sample_plan([(0, 1)] * 30, start=(4000, 4000))
     nodes, _ = load_graph(folder(plan)["route.geojson"])

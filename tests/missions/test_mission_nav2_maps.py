@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import io
+import math
 from pathlib import Path
 from typing import Any
 
@@ -127,6 +128,18 @@ def test_a_scoremap_on_the_frames_axes_is_written_as_it_is() -> None:
     assert float(yaml.safe_load(files["scoremap.yaml"])["resolution"]) == CELL_M
 
 
+def test_a_slight_turn_counts_by_what_it_makes_at_the_far_end() -> None:
+    """Half a thousandth is nothing to a cell, and a whole cell after two thousand of them."""
+    score = scores(4, 2000)
+    transform = Affine(*transform_at(UTM_SOUTH, ADELAIDE, CELL_M, math.degrees(5e-4)))
+    scoremap = Scoremap(score, np.zeros_like(score), Grid(4, 2000, transform, CRS.from_user_input(UTM_SOUTH)), CELL_M)
+    frame = LocalFrame("utm", *DATUM)
+    grid = load_map(map_files(scoremap, frame), "scoremap.yaml")
+    want = score_there(scoremap, frame, *centres(grid))
+    go = (want != -1) & ~np.isnan(want)
+    assert np.abs(grid.data[go] / 100 - want[go]).max() <= 0.0051
+
+
 def test_the_keepout_filter_keeps_the_robot_on_what_is_open() -> None:
     scoremap, frame = scoremap_of("rotated", scores()), LocalFrame("utm", *DATUM)
     mask = load_map(map_files(scoremap, frame), "keepout_mask.yaml")
@@ -180,7 +193,7 @@ def test_scores_beyond_1_are_percent_of_the_highest() -> None:
     data = load_map(files, "scoremap.yaml").data[::-1]
     go = np.isfinite(scoremap.score)
     assert np.abs(data[go] / 100 - scoremap.score[go] / 8).max() <= 0.0051
-    assert b"100 is a score of 8." in files["scoremap.yaml"]
+    assert b"100 is a score of 8," in files["scoremap.yaml"]
 
 
 def test_what_is_of_interest_does_not_make_ground_passable() -> None:
