@@ -3,7 +3,7 @@
 https://oceanai.mit.edu/ivpman. The helm's reader (lib_helmivp, lib_mbutil) takes one `name = value` a line, comments
 begin with `//` or `#`, and a brace at the end of a line counts as one on a line of its own: so the points stand as
 `x,y:x,y`, without braces. It reads lines beyond 5000 characters wrongly; one that ends in a backslash goes on in the
-next, and so a few points stand in each.
+next, and so points that fill more than a line stand in several.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ from hrt_cli.raster.grid import WGS84, transform_points
 
 _METRE_DECIMALS = 3
 _DEGREE_DECIMALS = 9
+_MOST_IN_LINE = 4000
 _POINTS_A_LINE = 6
 _CAPTURE_CELLS = 0.5  # turning there, the robot does not leave the cell of the waypoint
 _SLIP = 2.0  # a waypoint that was missed by so many capture radii counts as reached once it falls behind
@@ -108,6 +109,9 @@ def _moos_epsg(frame: LocalFrame) -> int:
 
 def _points(mission: Mission) -> str:
     points = [f"{fixed(x, _METRE_DECIMALS)},{fixed(y, _METRE_DECIMALS)}" for x, y in _xy(mission)]
+    line = ":".join(points)
+    if len(line) <= _MOST_IN_LINE:
+        return line
     rows = (":".join(points[at : at + _POINTS_A_LINE]) for at in range(0, len(points), _POINTS_A_LINE))
     return ":\\\n           ".join(rows)
 

@@ -9,7 +9,8 @@ middle of each cell has its centre in that cell, so that no waypoint is kept out
 - `scoremap`: 100 is the best score, unknown is no-go. A picture, not a costmap, in which 100 would be an obstacle.
 - `keepout_mask`: 100 (lethal) is no-go or off the map; what is open weighs from 0 (best) to 99, as Nav2's weighted
   areas do. The filter does nothing beyond its mask, so that a ring of cells about the map is lethal too.
-- `speed_mask`: percent of the top speed. 0 would mean no limit, and so would a limit of 0: no cell has them.
+- `speed_mask`: what is taken off the top speed, in percent, as the masks of Nav2's own tutorial have it (base 100,
+  multiplier -1). 0 is no limit; so would a limit of 0 be, so that 90 is the most that is taken off.
 """
 
 from __future__ import annotations
@@ -74,12 +75,12 @@ def map_files(scoremap: Scoremap, frame: LocalFrame, blocked: Sequence[Cell] = (
     keepout = np.pad(np.where(go, weight, np.uint8(_LETHAL)), 1, constant_values=_LETHAL)
     files |= _map_files("keepout_mask", keepout, _ringed(grid), _keepout_notes(grade))
     if grade:
-        speed = np.where(go, np.clip(percent, _SLOWEST, 100), np.uint8(_SLOWEST))
+        slower = 100 - np.where(go, np.maximum(percent, _SLOWEST), np.uint8(_SLOWEST))
         notes = [
-            f"For the speed filter: percent of the top speed, {_SLOWEST} at least and where no robot may go.",
-            "Unlike in Nav2's own example 100 is the fastest: base 0, multiplier 1 (filter_info.yaml).",
+            f"For the speed filter: percent taken off the top speed, {100 - _SLOWEST} at most and where no robot may go.",
+            "As in Nav2's own tutorial: base 100, multiplier -1 (filter_info.yaml).",
         ]
-        files |= _map_files("speed_mask", speed, grid, notes)
+        files |= _map_files("speed_mask", slower, grid, notes)
     return files | {"filter_info.yaml": _filter_info(grade).encode("ascii")}
 
 
@@ -155,20 +156,23 @@ free_thresh: 0.196
 
 
 def _filter_info(grade: bool) -> str:
-    filters = [("keepout", 0, "KeepoutFilter"), *([("speed", 1, "SpeedFilter")] if grade else [])]
-    names = ", ".join(f'"{name}_filter"' for name, _, _ in filters)
+    filters = [
+        ("keepout", 0, "KeepoutFilter", 0.0, 1.0),
+        *([("speed", 1, "SpeedFilter", 100.0, -1.0)] if grade else []),
+    ]
+    names = ", ".join(f'"{name}_filter"' for name, *_ in filters)
     lines = [
         "# Parameters of the servers that hand the masks to the costmap filters; give yaml_filename with its folder.",
         "# A costmap takes them up by",
         f"#   filters: [{names}]",
     ]
-    for name, _, plugin in filters:
+    for name, _, plugin, _, _ in filters:
         lines += [
             f"#   {name}_filter:",
             f'#     plugin: "nav2_costmap_2d::{plugin}"',
             f'#     filter_info_topic: "{name}_costmap_filter_info"',
         ]
-    for name, kind, _ in filters:
+    for name, kind, _, base, multiplier in filters:
         lines += [
             f"{name}_filter_mask_server:",
             "  ros__parameters:",
@@ -180,7 +184,7 @@ def _filter_info(grade: bool) -> str:
             f"    type: {kind}",
             f"    filter_info_topic: {name}_costmap_filter_info",
             f"    mask_topic: {name}_filter_mask",
-            "    base: 0.0",
-            "    multiplier: 1.0",
+            f"    base: {base}",
+            f"    multiplier: {multiplier}",
         ]
     return "\n".join(lines) + "\n"

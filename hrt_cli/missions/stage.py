@@ -19,6 +19,7 @@ from hrt_cli.errors import ArgumentError, InputError, OutputError
 from hrt_cli.missions.fence import NO_FENCE, fence_of
 from hrt_cli.missions.formats import Format, format_for, require_room
 from hrt_cli.missions.mission import Mission, MissionOptions, mission_of
+from hrt_cli.missions.nav2_maps import graded
 from hrt_cli.missions.simplify import Bools
 from hrt_cli.raster.aoi import read_aoi
 from hrt_cli.raster.cog import cog_provenance
@@ -114,6 +115,11 @@ def export_missions(
         figures = len(mission.stops), mission.length_m, mission.time_s, shortest_m, mission.passed_by
         missions.append(Exported(path, up_to_date, *figures))
     notes = _notes(target, [mission for _, mission, _ in made])
+    if scoremap is not None and target.is_folder(output) and not graded(scoremap):
+        notes.append(
+            f"{scoremap_path}: its scores hold interest or exploration, not drivability alone: the keepout mask only"
+            " bars, and there is no speed mask"
+        )
     if scoremap_path is not None:
         notes += _forgotten(scoremap_path, [path for path in (aoi_path, *keep_out_paths) if path is not None])
     return Export(target.name, missions, notes)

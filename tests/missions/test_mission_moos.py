@@ -101,6 +101,8 @@ def test_a_thousand_waypoints_stand_in_lines_that_the_helm_reads() -> None:
     text = text_of(plan)
     assert max(map(len, text.splitlines())) < 200
     assert_at_cells(plan, moos_lonlat(text), waypoint_cells(plan))
+    line = next(line for line in text_of(sample_plan(ZIGZAG * 20)).splitlines() if line.startswith("  points "))
+    assert line.count(",") == 161
 
 
 @pytest.mark.parametrize("name", ["a\\", "x // y", "{", "}", "ü", "# no"])

@@ -101,8 +101,8 @@ def test_every_map_says_of_every_place_what_the_scoremap_says(kind: str, frame_k
             assert data[go].max() < 100
             assert set(data[~go]) == {100}
         else:
-            assert np.abs(data[go] / 100 - np.maximum(want[go], 0.1)).max() <= 0.0051
-            assert set(data[~go]) == {10}
+            assert np.abs(1 - data[go] / 100 - np.maximum(want[go], 0.1)).max() <= 0.0051
+            assert set(data[~go]) == {90}
 
 
 @pytest.mark.parametrize("kind", GRIDS)
@@ -161,7 +161,7 @@ def test_nobody_leaves_the_map_between_the_cells_of_its_rim() -> None:
     assert keepout_cost(mask, mask.x - 1, mask.y, 17) == 17  # beyond it the filter does nothing
 
 
-def test_the_speed_filter_always_has_a_limit_and_the_slowest_where_none_may_go() -> None:
+def test_the_speed_filter_slows_by_the_score_and_most_where_none_may_go() -> None:
     score = scores()
     score[3, 4:8] = [0.0, 0.004, 0.5, 1.0]
     scoremap, frame = scoremap_of("as the frame", score), LocalFrame("utm", *DATUM)
@@ -173,9 +173,11 @@ def test_the_speed_filter_always_has_a_limit_and_the_slowest_where_none_may_go()
     places = zip(x.flat, y.flat, strict=True)
     found = [speed_percent(mask, info["base"], info["multiplier"], *place) for place in places]
     limits = np.array(found).reshape(score.shape)[::-1]
-    assert not (limits == NO_LIMIT).any()
-    assert limits[3, 4:8].tolist() == [10, 10, 50, 100]
-    assert (limits[np.isnan(score)] == limits.min()).all()
+    assert (info["base"], info["multiplier"]) == (100.0, -1.0)  # of Nav2's tutorial, which many robots have set up
+    free = limits == NO_LIMIT
+    assert (score[free] >= 0.995).all()
+    assert limits[3, 4:8].tolist() == [10, 10, 50, NO_LIMIT]
+    assert (limits[np.isnan(score)] == limits[~free].min()).all()
 
 
 def test_cells_that_earlier_drives_blocked_are_kept_out() -> None:

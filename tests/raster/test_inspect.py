@@ -237,18 +237,12 @@ class TestAlignment:
         assert "are 0.399 m, those of odm_orthophoto/odm_orthophoto.tif 0.1 m" in told
 
 
-OPTIONS_TO_COME = {"--dsm", "--thermal-units"}
-"""Of `hrt scoremap`; no longer needed here once they are there."""
-
-
 def test_every_command_that_is_printed_has_the_options_it_is_printed_with() -> None:
     for command in inspect(WILDFIRE)["commands"]:
         program, name, *args = shlex.split(command)
         assert program == "hrt"
         shown = CliRunner().invoke(shell.cli, [name, "--help"]).stdout
         wanted = {arg for arg in args if arg.startswith("-")}
-        if name == "scoremap":
-            wanted -= OPTIONS_TO_COME
         assert all(option in shown for option in wanted)
 
 
