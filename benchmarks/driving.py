@@ -23,7 +23,7 @@ from affine import Affine
 from rasterio.crs import CRS
 from scipy import ndimage
 
-from hrt_cli.artifacts.drivelog import read_drive_log
+from hrt_cli.logs.read import read_drive_log
 from hrt_cli.artifacts.provenance import record
 from hrt_cli.drivability.feedback import FeedbackSettings
 from hrt_cli.drivability.feedback_stage import learn_scores

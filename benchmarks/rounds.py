@@ -21,7 +21,7 @@ from pathlib import Path
 import numpy as np
 from scipy.stats import spearmanr
 
-from hrt_cli.artifacts.drivelog import read_drive_log
+from hrt_cli.logs.read import read_drive_log
 from hrt_cli.artifacts.scores import read_scores
 from hrt_cli.artifacts.world import read_world
 from hrt_cli.drivability.feedback import FeedbackSettings

@@ -17,7 +17,8 @@ from pyproj import Transformer
 from raster_files import UTM33
 from world_files import ground_site, map_xy, place_of, put_drive_log, put_plan, put_world
 
-from hrt_cli.artifacts.drivelog import drive_provenance, read_drive_log
+from hrt_cli.artifacts.drivelog import drive_provenance
+from hrt_cli.logs.read import read_drive_log
 from hrt_cli.artifacts.plan import read_plan
 from hrt_cli.artifacts.stage import Existing
 from hrt_cli.driving.field import cost_map, inside_rim, rim_distance

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from hrt_cli.artifacts.drivelog import read_drive_log
+from hrt_cli.logs.read import read_drive_log
 from hrt_cli.artifacts.npz import write_npz
 from hrt_cli.main import cli
 

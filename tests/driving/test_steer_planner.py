@@ -15,7 +15,8 @@ from tiny_trunk import TinyTrunk
 from world_files import ground_site, map_xy, put_plan, put_world
 
 from hrt_cli import main as shell
-from hrt_cli.artifacts.drivelog import drive_provenance, read_drive_log
+from hrt_cli.artifacts.drivelog import drive_provenance
+from hrt_cli.logs.read import read_drive_log
 from hrt_cli.artifacts.provenance import file_sha256, record
 from hrt_cli.driving.course import Course
 from hrt_cli.driving.lens import camera_of, look

@@ -10,7 +10,7 @@ import gpxpy.gpx
 import numpy as np
 import pytest
 
-from hrt_cli.artifacts.drivelog import read_drive_log
+from hrt_cli.logs.read import read_drive_log
 from hrt_cli.errors import InputError
 
 HEAD = '<?xml version="1.0" encoding="UTF-8"?>\n'
