@@ -28,6 +28,7 @@ if TYPE_CHECKING:
 Floats = NDArray[np.float64]
 
 _COMMANDS = re.compile(r"cmd|command", re.IGNORECASE)
+_SQLITE_HEADER = 100
 _MOST_OFTEN_S = 0.02
 """Of wheels and IMU, which may send a thousand times a second, messages closer together than this are left out."""
 
@@ -123,7 +124,7 @@ def topics_of(path: Path, kind: Kind) -> list[dict[str, Any]]:
 @contextmanager
 def _opened(path: Path, kind: Kind) -> Iterator[Reader1 | Reader2]:
     """Open a bag; whatever goes wrong in reading it is one refusal."""
-    _check_closed(path, kind)
+    _check_databases(path, kind)
     try:
         from rosbags.rosbag1 import Reader as Reader1
         from rosbags.rosbag2 import Reader as Reader2
@@ -140,16 +141,23 @@ def _opened(path: Path, kind: Kind) -> Iterator[Reader1 | Reader2]:
         raise InputError(path, f"is not a bag that can be read: {what}", remedy) from error
 
 
-def _check_closed(path: Path, kind: Kind) -> None:
-    """Refuse SQLite files whose last messages stand in a journal: they would be left out silently."""
-    if kind == BAG:
-        return
-    for file in files_of("", path).values():
+def _check_databases(path: Path, kind: Kind) -> None:
+    """Refuse SQLite files that are cut off or have their last messages in a journal: SQLite would leave them out."""
+    for file in () if kind == BAG else files_of("", path).values():
+        if kind != SQLITE and file.suffix != ".db3":
+            continue
         for side in ("-wal", "-journal"):
             journal = file.with_name(file.name + side)
-            if (kind == SQLITE or file.suffix == ".db3") and journal.is_file() and journal.stat().st_size:
-                remedy = f"copy {journal.name} along and run `sqlite3 {file.name} 'pragma wal_checkpoint(truncate)'`"
+            if journal.is_file() and journal.stat().st_size:
+                remedy = f"`sqlite3 {file.name} 'pragma wal_checkpoint(truncate)'` in its folder closes it"
                 raise InputError(path, f"was not closed: its last messages are in {journal.name}", remedy)
+        with open(file, "rb") as data:
+            header = data.read(_SQLITE_HEADER)
+        if len(header) == _SQLITE_HEADER and header[24:28] == header[92:96]:
+            # https://www.sqlite.org/fileformat.html: size of a page (1: 65536), number of pages.
+            page, pages = int.from_bytes(header[16:18]), int.from_bytes(header[28:32])
+            if file.stat().st_size < pages * (65_536 if page == 1 else page):
+                raise InputError(path, f"is cut off: {file.name} is shorter than it says")
 
 
 def _rows(
