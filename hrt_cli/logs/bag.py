@@ -7,6 +7,7 @@ those that the bag brings along; where it brings none, those of the distribution
 from __future__ import annotations
 
 import re
+from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -65,10 +66,13 @@ class Bag:
         By `FIX`, `ODOMETRY`, `IMU` and `COMMAND`; topics without messages are left out.
     other_twists : list of str
         Topics of velocities that are not named as commands.
+    lacking : list of str
+        Topics with fewer messages than the index of the bag says, a clause each.
     """
 
     read: dict[str, list[Topic]]
     other_twists: list[str]
+    lacking: list[str]
 
 
 FIX, ODOMETRY, IMU, COMMAND = "fix", "odometry", "imu", "command"
@@ -97,12 +101,17 @@ def read_bag(path: Path, kind: Kind) -> Bag:
                 other_twists.append(each.topic)
             elif each.msgtype in _KINDS and each.msgcount:
                 wanted.append(each)
-        rows = _rows(reader, wanted, kind) if wanted else {}
+        counts: Counter[str] = Counter()
+        rows = _rows(reader, wanted, kind, counts) if wanted else {}
     read: dict[str, list[Topic]] = {each: [] for each in (FIX, ODOMETRY, IMU, COMMAND)}
     for (name, msgtype), (frame, found) in sorted(rows.items()):
         table = np.array(found, np.float64)
         read[_KINDS[msgtype]].append(Topic(name, frame, table[:, 0], table[:, 1], table[:, 2:]))
-    return Bag(read, sorted(set(other_twists)))
+    promised: Counter[str] = Counter()
+    for each in wanted:
+        promised[each.topic] += each.msgcount
+    lacking = [f"{name} has {counts[name]} of {n} messages" for name, n in sorted(promised.items()) if counts[name] < n]
+    return Bag(read, sorted(set(other_twists)), lacking)
 
 
 def topics_of(path: Path, kind: Kind) -> list[dict[str, Any]]:
@@ -161,15 +170,16 @@ def _check_databases(path: Path, kind: Kind) -> None:
 
 
 def _rows(
-    reader: Reader1 | Reader2, wanted: Sequence[Connection], kind: Kind
+    reader: Reader1 | Reader2, wanted: Sequence[Connection], kind: Kind, counts: Counter[str]
 ) -> dict[tuple[str, str], tuple[str, list[tuple[float, ...]]]]:
-    """Return the first frame and the rows of every topic: recording time, stamp, values."""
+    """Return the first frame and the rows of every topic: recording time, stamp, values. Count all messages."""
     store = _layouts(wanted, kind)
     decode = store.deserialize_ros1 if kind == BAG else store.deserialize_cdr
     rows: dict[tuple[str, str], tuple[str, list[tuple[float, ...]]]] = {}
     for connection, recorded, data in reader.messages(connections=wanted):
         key, time = (connection.topic, connection.msgtype), recorded / 1e9
         what = _KINDS[connection.msgtype]
+        counts[connection.topic] += 1
         if what in (ODOMETRY, IMU) and key in rows and 0 <= time - rows[key][1][-1][0] < _MOST_OFTEN_S:
             continue
         message: Any = decode(data, connection.msgtype)

@@ -1,141 +1,157 @@
-"""ArduPilot's DataFlash log (`.bin`) as a drive log.
+"""The messages of ArduPilot's DataFlash log (`.bin`), as columns.
 
-Messages by their names (https://ardupilot.org/rover/docs/logmessages.html): places from POS (fused) where it is logged,
-else from GPS with a 3D fix; speed from GPS, attitude from ATT, in degrees with the nose up and the right side down
-positive, as here; the commanded speed from THR, which only Rover writes.
+A message is A3 95, the number of its type, and its fields; FMT messages (type 128) name types and lay out their fields
+(ArduPilot's `libraries/AP_Logger`). There are no checksums: a message counts if another one follows it, or the end.
 """
 
 from __future__ import annotations
 
-import contextlib
-import io
-from collections.abc import Iterator
-from contextlib import contextmanager
+import mmap
+import struct
+from array import array
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hrt_cli.artifacts.drivelog import DriveLog
-from hrt_cli.errors import HrtError, InputError
-from hrt_cli.logs.assemble import log_of_columns
-from hrt_cli.logs.resample import held, interpolated
+from hrt_cli.errors import InputError
 
 Floats = NDArray[np.float64]
 
-_FIX_3D = 3
-_GPS_EPOCH_S = 315_964_800
-"""1980-01-06 in Unix seconds, from which GPS weeks count."""
-_LEAP_S = 18
-"""GPS time is ahead of UTC by so much since 2017; a log that is older is off by a second or two."""
-_WEEK_S = 7 * 86_400
+_BEGIN = b"\xa3\x95"
+_FMT = struct.Struct("<3x2B4s16s64s")
+_FMT_TYPE = 128
+_MOST_TAIL = 528
+"""Bytes at the end that a log leaves unfinished: a message of at most 255, and the rest of a page of the flash."""
 _MOST_DAMAGED = 0.01
 """A log of which a larger share is no messages is not trusted."""
+_CODES: dict[str, tuple[str, float]] = {
+    "b": ("<i1", 1), "B": ("<u1", 1), "M": ("<u1", 1), "h": ("<i2", 1), "H": ("<u2", 1), "i": ("<i4", 1),
+    "I": ("<u4", 1), "q": ("<i8", 1), "Q": ("<u8", 1), "g": ("<f2", 1), "f": ("<f4", 1), "d": ("<f8", 1),
+    "c": ("<i2", 100), "C": ("<u2", 100), "e": ("<i4", 100), "E": ("<u4", 100), "L": ("<i4", 1e7),
+    "n": ("S4", 0), "N": ("S16", 0), "Z": ("S64", 0), "a": ("S64", 0),
+}  # fmt: skip
+"""Type of a field by its letter, and what its values are divided by; 0 where they are no numbers."""
 
 
-def read_dataflash(path: Path) -> DriveLog:
-    """Return the drive in a DataFlash log. One that ends within a message, as most do, is taken up to there.
+@dataclass(frozen=True)
+class _Layout:
+    """A type of message: its length in bytes with the three that begin it, and its fields' letters and names."""
 
-    Raises
-    ------
-    InputError
-        The file is no such log, is damaged, tells no places, or pymavlink is not installed.
+    name: str
+    length: int
+    codes: str
+    fields: tuple[str, ...]
+
+
+class Messages:
+    """What a log holds.
+
+    Attributes
+    ----------
+    notes : list of str
+        What of the file is no messages.
     """
-    with _opened(path) as log:
-        notes = _damage(path, log)
-        gps = _columns(log, "GPS", ("TimeUS", "Lat", "Lng", "Status"), ("Spd", "GWk", "GMS", "I"))
-        pos = _columns(log, "POS", ("TimeUS", "Lat", "Lng"))
-        att = _columns(log, "ATT", ("TimeUS", "Roll", "Pitch", "Yaw"))
-        thr = _columns(log, "THR", ("TimeUS", "DesSpeed"))
-    gps, more = _receiver(gps)
-    notes += more
-    places = pos if pos["TimeUS"].size else gps
-    good = (places["Lat"] != 0) | (places["Lng"] != 0)
-    if not good.any():
-        raise InputError(path, "tells no places: it has no POS, and no GPS with a 3D fix")
-    if not good.all():
-        notes.append(f"drops {good.size - good.sum()} places at 0, 0")
-    base_s, more = _time_base(gps)
-    notes += more
-    boot_s = places["TimeUS"][good] / 1e6
-    known = {
-        "speed_m_s": interpolated(boot_s, gps["TimeUS"] / 1e6, gps["Spd"]),
-        "commanded_m_s": held(boot_s, thr["TimeUS"] / 1e6, np.abs(thr["DesSpeed"])),
-        "heading_deg": interpolated(boot_s, att["TimeUS"] / 1e6, att["Yaw"], angle=True) % 360.0,
-        "pitch_deg": interpolated(boot_s, att["TimeUS"] / 1e6, att["Pitch"]),
-        "roll_deg": interpolated(boot_s, att["TimeUS"] / 1e6, att["Roll"], angle=True),
-    }
-    place = np.stack([places["Lng"], places["Lat"]], axis=1)[good]
-    source = "POS (fused)" if places is pos else "GPS"
-    return log_of_columns(path, base_s + boot_s, place, known, notes=[f"takes places from {source}", *notes])
 
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._layouts = {_FMT_TYPE: _Layout("FMT", _FMT.size, "BBnNZ", ("Type", "Length", "Name", "Format", "Columns"))}
+        self._starts: dict[int, NDArray[np.int64]] = {}
+        self.notes: list[str] = []
 
-@contextmanager
-def _opened(path: Path) -> Iterator[Any]:
-    """Open a log; whatever goes wrong in reading it is one refusal."""
-    try:
-        from pymavlink.DFReader import DFReader_binary
-    except ImportError as error:
-        raise InputError(path, "needs pymavlink: pip install 'hrt[ardupilot]'") from error
-    # It prints what it meets, on stdout too.
-    with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
+    def read(self, wanted: dict[str, tuple[str, ...]]) -> dict[str, dict[str, Floats]]:
+        """Return by name of message the columns [n] of the fields wanted; NaN for fields that it does not have.
+
+        Raises
+        ------
+        InputError
+            The log cannot be read, more than a little of it is damaged, or it lays a message out in two ways.
+        """
         try:
-            with DFReader_binary(str(path)) as log:
-                yield log
-        except HrtError:
-            raise
-        except Exception as error:  # damaged formats show as anything: struct errors, missing keys
-            what = " ".join(str(error).split())[:200] or type(error).__name__
-            raise InputError(path, f"is not a DataFlash log that can be read: {what}") from error
+            with open(self._path, "rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
+                self._index(data)
+                return {name: self._columns(data, name, fields) for name, fields in wanted.items()}
+        except OSError as error:
+            raise InputError(self._path, f"cannot be read: {error.strerror or error}") from error
+
+    def _index(self, data: mmap.mmap) -> None:
+        """Find where messages begin, and note what lies between them and after the last."""
+        lengths = [0] * 256
+        lengths[_FMT_TYPE] = _FMT.size
+        starts: list[array[int]] = [array("q") for _ in lengths]
+        at, size, between, tail = 0, len(data), 0, 0
+        begins = data[:2] == _BEGIN
+        while at < size:
+            kind = data[at + 2] if begins and at + 2 < size else 0
+            end = at + lengths[kind]
+            follows = data[end : end + 2] == _BEGIN
+            whole = end > at and (follows or end == size or (end < size and _is_tail(data, end)))
+            if whole and not _is_torn(data, at, end, lengths):
+                starts[kind].append(at)
+                if kind == _FMT_TYPE:
+                    self._add(_FMT.unpack(data[at:end]), lengths)
+                at, begins = end, follows
+                continue
+            after = data.find(_BEGIN, at + 1)
+            if after < 0:
+                tail = size - at
+                break
+            between += after - at
+            at, begins = after, True
+        self._starts = {kind: np.array(found, np.int64) for kind, found in enumerate(starts) if found}
+        lost = between + (tail if tail > _MOST_TAIL else 0)
+        if lost > _MOST_DAMAGED * size:
+            raise InputError(self._path, f"is damaged: {lost} of its {size} bytes are no messages")
+        if tail:
+            self.notes.append(f"ends within a message: its last {tail} bytes are left out")
+        if between:
+            self.notes.append(f"is damaged: {between} bytes between its messages are passed over")
+
+    def _add(self, said: tuple[int, int, bytes, bytes, bytes], lengths: list[int]) -> None:
+        number, length = said[:2]
+        name, codes, fields = (text.split(b"\0")[0].decode("ascii", "replace") for text in said[2:])
+        layout = _Layout(name, length, codes, tuple(fields.split(",")))
+        if length <= 3 or self._layouts.setdefault(number, layout) != layout:
+            raise InputError(self._path, f"lays out the message {name or number} in two ways, or in none")
+        lengths[number] = length
+
+    def _columns(self, data: mmap.mmap, name: str, wanted: tuple[str, ...]) -> dict[str, Floats]:
+        found = [number for number, layout in self._layouts.items() if layout.name == name and number in self._starts]
+        if not found:
+            return dict.fromkeys(wanted, np.zeros(0))
+        layout, starts = self._layouts[found[0]], self._starts[found[0]]
+        offsets, offset = {}, 3
+        for code, field in zip(layout.codes, layout.fields, strict=False):
+            kind, divisor = _CODES.get(code, ("", 0))
+            offsets[field] = (offset, kind, divisor)
+            offset += np.dtype(kind).itemsize if kind else layout.length
+        if len(found) > 1 or len(layout.codes) != len(layout.fields) or offset != layout.length:
+            raise InputError(self._path, f"lays out the message {name} in a way that cannot be read")
+        whole = np.frombuffer(data, np.uint8)
+        columns = {}
+        for field in wanted:
+            offset, kind, divisor = offsets.get(field, (0, "", 0))
+            if not divisor:
+                columns[field] = np.full(starts.size, np.nan)
+                continue
+            raw = whole[starts[:, None] + offset + np.arange(np.dtype(kind).itemsize)]
+            columns[field] = np.ascontiguousarray(raw).view(kind)[:, 0].astype(np.float64) / divisor
+        del whole
+        return columns
 
 
-def _damage(path: Path, log: Any) -> list[str]:
-    """Say what of a log is no messages: the end of one that was cut off, and what lies between messages."""
-    ends, whole = [0], 0
-    for kind, layout in log.formats.items():
-        at = np.array(log.offsets[kind], np.int64)
-        at = at[at + layout.len <= log.data_len]
-        whole += at.size * layout.len
-        ends += (at[-1:] + layout.len).tolist()
-    tail = log.data_len - max(ends)
-    between = log.data_len - tail - whole
-    if between > _MOST_DAMAGED * log.data_len or whole == 0:
-        raise InputError(path, f"is damaged: {between + tail} of its {log.data_len} bytes are no messages")
-    notes = [f"ends within a message: its last {tail} bytes are left out"] if tail else []
-    return notes + ([f"is damaged: {between} bytes between its messages are passed over"] if between else [])
+def _is_tail(data: mmap.mmap, at: int) -> bool:
+    """Whether from here on a log is what was left unfinished, or the rest of a page."""
+    return len(data) - at <= _MOST_TAIL and data.find(_BEGIN, at) < 0
 
 
-def _columns(log: Any, name: str, needed: tuple[str, ...], optional: tuple[str, ...] = ()) -> dict[str, Floats]:
-    """Return columns [n] of the messages of a name, NaN for optional ones that it lacks; empty without the needed."""
-    log.rewind()
-    rows = []
-    while (message := log.recv_match(type=[name], strict=True)) is not None:
-        rows.append([getattr(message, each, None) for each in (*needed, *optional)])
-    if rows and None in rows[0][: len(needed)]:
-        rows = []
-    table = np.array(rows, np.float64).reshape(-1, len(needed) + len(optional))
-    return dict(zip((*needed, *optional), table.T, strict=True))
-
-
-def _receiver(gps: dict[str, Floats]) -> tuple[dict[str, Floats], list[str]]:
-    """Return what the receiver with the most fixes says while it has one."""
-    fix = gps["Status"] >= _FIX_3D
-    found = {name: column[fix] for name, column in gps.items()}
-    numbers, counts = np.unique(found["I"], return_counts=True)
-    if numbers.size < 2:
-        return found, []
-    best = numbers[counts.argmax()]
-    others = ", ".join(f"{number:g}" for number in numbers if number != best)
-    found = {name: column[found["I"] == best] for name, column in found.items()}
-    return found, [f"takes GPS {best:g}, and passes over {others}"]
-
-
-def _time_base(gps: dict[str, Floats]) -> tuple[float, list[str]]:
-    """Return the Unix time at which the vehicle was switched on; 0 where no GPS tells."""
-    dated = np.flatnonzero(gps["GWk"] > 0)
-    if not dated.size:
-        return 0.0, ["tells no date: its times are seconds since it was switched on"]
-    k = dated[0]
-    unix_s = _GPS_EPOCH_S + _WEEK_S * gps["GWk"][k] + gps["GMS"][k] / 1e3 - _LEAP_S
-    return float(unix_s - gps["TimeUS"][k] / 1e6), []
+def _is_torn(data: mmap.mmap, at: int, end: int, lengths: list[int]) -> bool:
+    """Whether what seems to be a message reaches into a whole one: it was cut, and its end is that of another."""
+    inner = data.find(_BEGIN, at + 2, end - 2)
+    while inner >= 0:
+        length = lengths[data[inner + 2]]
+        if length and (inner + length == len(data) or data[inner + length : inner + length + 2] == _BEGIN):
+            return True
+        inner = data.find(_BEGIN, inner + 2, end - 2)
+    return False

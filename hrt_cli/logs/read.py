@@ -8,7 +8,7 @@ from pathlib import Path
 from hrt_cli.artifacts.drivelog import MAX_BYTES, DriveLog
 from hrt_cli.artifacts.jsonio import read_text
 from hrt_cli.errors import InputError
-from hrt_cli.logs.dataflash import read_dataflash
+from hrt_cli.logs.ardupilot import read_ardupilot
 from hrt_cli.logs.gpx import read_gpx
 from hrt_cli.logs.kinds import DATAFLASH, GPX, LINES, TABLE, Kind, kind_of
 from hrt_cli.logs.lines import read_lines
@@ -30,7 +30,7 @@ def read_drive_log(path: Path) -> DriveLog:
     kind = kind_of(path)
     if kind in _TEXTS:
         return _TEXTS[kind](path, _text(path, kind))
-    return read_dataflash(path) if kind == DATAFLASH else read_ros(path, kind)
+    return read_ardupilot(path) if kind == DATAFLASH else read_ros(path, kind)
 
 
 def _text(path: Path, kind: Kind) -> str:

@@ -53,7 +53,7 @@ class _Drive:
     def __init__(self, path: Path, bag: Bag) -> None:
         self._path, self._bag = path, bag
         self._sources: list[str] = []
-        self._notes: list[str] = []
+        self._notes: list[str] = [f"is damaged: {lack}" for lack in bag.lacking]
         self._unused: list[str] = []
 
     def log(self) -> DriveLog:
@@ -99,20 +99,21 @@ class _Drive:
         self._clock = odometry
         frame = odometry.frame or "odom"
         self._sources.append(f"places from {odometry.name}")
-        self._notes.append(f"has no GPS: its places are in the robot's own frame {frame}, not on the map")
+        self._notes.append(f"has no GPS fix: its places are in the robot's own frame {frame}, not on the map")
         return self._time(odometry), odometry.values[:, :2], frame
 
     def _time(self, topic: Topic) -> Floats:
         """Return the times of a topic in the clock of the places: by its stamps, else by when it was recorded."""
-        shift = _shift_s(self._clock)
-        own = _shift_s(topic)
-        if own is not None and (shift is None or abs(own - shift) <= _SAME_CLOCK_S):
-            return topic.stamp_s if shift is not None else topic.recorded_s
-        if own is not None and shift is not None:
+        shift, own = _shift_s(self._clock), _shift_s(topic)
+        if shift is None:
+            return topic.recorded_s
+        if own is not None and abs(own - shift) <= _SAME_CLOCK_S:
+            return topic.stamp_s
+        if own is not None:
             off = f"the clock of {topic.name} is {own - shift:.1f} s off that of {self._clock.name}"
             note = f"{off}: set right by when they were recorded"
             self._notes += [note] if note not in self._notes else []
-        return topic.recorded_s + (shift or 0.0)
+        return topic.recorded_s + shift
 
     def _speed(self, odometry: Topic) -> Floats | None:
         """Return the speeds of an odometry; None if it tells places only, as that of a converted GPS does."""

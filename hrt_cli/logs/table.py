@@ -225,6 +225,8 @@ class _Rows:
             raise InputError(self._path, problem) from error
 
     def _unix_seconds(self, text: str) -> float:
+        if _real(text) is not None:
+            raise ValueError("a number among dates")
         time = datetime.fromisoformat(text)
         if time.tzinfo is None:
             self._no_zone = True

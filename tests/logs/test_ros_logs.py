@@ -6,6 +6,7 @@ import shutil
 import sqlite3
 import sys
 from pathlib import Path
+from typing import Any
 
 import bag_files as bags
 import numpy as np
@@ -77,7 +78,7 @@ def test_a_receiver_without_a_fix_is_dropped(tmp_path: Path) -> None:
 
 def test_wheels_alone_are_not_on_the_map(tmp_path: Path) -> None:
     said = [odometry(k / 10, 0.1 * k, 5.0, (1.0, 0.0)) for k in range(50)]
-    for log in (*both(tmp_path, said), *both(tmp_path / "no", said + [fix(1.0, 15.0, 45.0, status=-1)])):
+    for log in (*both(tmp_path, said), *both(tmp_path / "no", [*said, fix(1.0, 15.0, 45.0, status=-1)])):
         assert (log.own_frame, log.geographic, log.crs) == ("odom", False, None)
         np.testing.assert_allclose(log.place, np.stack([0.1 * np.arange(50), np.full(50, 5.0)], axis=1))
         np.testing.assert_allclose(log.speed_m_s, 1.0)
@@ -168,9 +169,9 @@ def test_only_the_topics_that_tell_of_a_drive_are_read(tmp_path: Path, monkeypat
     seen: list[str] = []
     whole = bag_module._rows
 
-    def rows(reader, wanted, kind):  # type: ignore[no-untyped-def]
+    def rows(reader: Any, wanted: Any, *more: Any) -> Any:
         seen.extend(each.topic for each in wanted)
-        return whole(reader, wanted, kind)
+        return whole(reader, wanted, *more)
 
     monkeypatch.setattr(bag_module, "_rows", rows)
     read_drive_log(write(tmp_path, drive(), "mcap"))
@@ -194,11 +195,19 @@ def test_a_database_that_was_not_closed_is_refused(tmp_path: Path) -> None:
         journal = path.with_name(path.name + side)
         journal.write_bytes(b"x")
         for each in (path, path.parent):
-            with pytest.raises(InputError, match="was not closed: its last messages are in drive.db3-"):
+            with pytest.raises(InputError, match=r"was not closed: its last messages are in drive\.db3-"):
                 read_drive_log(each)
         journal.write_bytes(b"")
         assert read_drive_log(path).time_s.size == 101
         journal.unlink()
+
+
+def test_messages_that_the_index_promises_and_that_are_not_there_are_told(tmp_path: Path) -> None:
+    folder = write(tmp_path, drive(), "folder")
+    with sqlite3.connect(folder / "drive.db3") as data:
+        data.execute("DELETE FROM messages WHERE topic_id = (SELECT id FROM topics WHERE name = '/fix') AND id % 2 = 0")
+    log = read_drive_log(folder)
+    assert f"is damaged: /fix has {log.time_s.size} of 101 messages" in log.notes
 
 
 def test_a_folder_and_its_one_file_are_the_same_drive(tmp_path: Path) -> None:
@@ -274,7 +283,9 @@ def test_a_wrong_checksum_is_refused(tmp_path: Path) -> None:
         read_drive_log(path)
 
 
-@pytest.mark.parametrize("yaml", ["", "[1, 2", "a: 1\n", "rosbag2_bagfile_information: 7\n", "!!python/object:os.system x"])
+@pytest.mark.parametrize(
+    "yaml", ["", "[1, 2", "a: 1\n", "rosbag2_bagfile_information: 7\n", "!!python/object:os.system x"]
+)
 def test_a_folder_whose_metadata_is_none_is_refused(tmp_path: Path, yaml: str) -> None:
     folder = write(tmp_path, drive(), "folder")
     (folder / "metadata.yaml").write_text(yaml)
