@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from hrt_cli.logs.read import read_drive_log
 from hrt_cli.artifacts.npz import write_npz
+from hrt_cli.logs.read import read_drive_log
 from hrt_cli.main import cli
 
 REAL = '{"format": "hrt-drive-log", "crs": "EPSG:32633"}\n{"t": 3.0, "x": 400012.5, "y": 4999980.5}\n'
