@@ -62,9 +62,10 @@ def drive(
         from hrt_cli.report.drives import draw_drives
         from hrt_cli.world.site import site_files
 
-        inputs = site_files(world) if world else {}
-        for index, path in enumerate(logs):
-            inputs |= files_of(f"log/{index}", path)
+        inputs = {
+            role: file for index, path in enumerate(logs) for role, file in files_of(f"log/{index}", path).items()
+        }
+        inputs |= site_files(world) if world else {}
         draw_drives(
             inputs, figure, found.clearance_m, found.weight_s, found.view, caption=_line(found.total), existing=existing
         )
