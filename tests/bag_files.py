@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 from rosbags.rosbag1 import Writer as Writer1
-from rosbags.rosbag2 import StoragePlugin
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
 from rosbags.rosbag2 import Writer as Writer2
 from rosbags.typesys import Stores, get_typestore
 
@@ -61,18 +61,24 @@ TYPES = {
 }
 
 
-def write(folder: Path, said: Sequence[Said], kind: str, name: str = "drive") -> Path:
+def write(folder: Path, said: Sequence[Said], kind: str, name: str = "drive", compression: str = "") -> Path:
     """Write a bag of one of `KINDS` in a folder and return what is to be read."""
     folder.mkdir(parents=True, exist_ok=True)
     if kind == "bag":
         path = folder / f"{name}.bag"
-        with Writer1(path) as writer:
+        writer = Writer1(path)
+        if compression:
+            writer.set_compression(Writer1.CompressionFormat[compression])
+        with writer:
             _fill(writer, ROS1, said)
         return path
     path = folder / name
     plugin = StoragePlugin.MCAP if kind in ("mcap", "mcap folder") else StoragePlugin.SQLITE3
-    with Writer2(path, version=9, storage_plugin=plugin) as writer:
-        _fill(writer, ROS2, said)
+    writer2 = Writer2(path, version=9, storage_plugin=plugin)
+    if compression:
+        writer2.set_compression(CompressionMode[compression], CompressionFormat.ZSTD)
+    with writer2:
+        _fill(writer2, ROS2, said)
     return path / f"{name}.{kind}" if kind in ("mcap", "db3") else path
 
 

@@ -155,6 +155,8 @@ def _check_databases(path: Path, kind: Kind) -> None:
     for file in () if kind == BAG else files_of("", path).values():
         if kind != SQLITE and file.suffix != ".db3":
             continue
+        if set("%?#") & set(str(file)):
+            raise InputError(path, "cannot be opened: rosbags takes %, ? and # in a path for marks", "rename it")
         for side in ("-wal", "-journal"):
             journal = file.with_name(file.name + side)
             if journal.is_file() and journal.stat().st_size:

@@ -67,6 +67,17 @@ def test_every_kind_of_bag_tells_the_same_drive(tmp_path: Path, kind: str) -> No
     )
 
 
+@pytest.mark.parametrize(
+    ("kind", "compression"),
+    [("bag", "BZ2"), ("bag", "LZ4"), ("folder", "FILE"), ("folder", "MESSAGE"), ("mcap folder", "FILE"),
+     ("mcap folder", "MESSAGE"), ("mcap", "STORAGE")],
+)  # fmt: skip
+def test_compressed_bags_are_read(tmp_path: Path, kind: str, compression: str) -> None:
+    log = read_drive_log(write(tmp_path, drive(), kind, compression=compression))
+    np.testing.assert_array_equal(log.place[:, 0], lon(np.arange(101) / 5))
+    np.testing.assert_allclose(log.pitch_deg, 8)
+
+
 def test_a_receiver_without_a_fix_is_dropped(tmp_path: Path) -> None:
     said = [fix(k, lon(k), 45.0, status=-1 if k in (2, 3) else 0) for k in range(10)]
     said[5].values["lat"] = np.nan
@@ -187,6 +198,13 @@ def test_a_database_that_brings_no_message_layouts_is_read(tmp_path: Path) -> No
     found = read_drive_log(path)
     np.testing.assert_array_equal(found.place, whole.place)
     np.testing.assert_array_equal(found.roll_deg, whole.roll_deg)
+
+
+@pytest.mark.parametrize("name", ["a%20b", "a#b", "a?b"])
+def test_a_database_with_a_mark_in_its_name_says_so(tmp_path: Path, name: str) -> None:
+    path = write(tmp_path, drive(), "db3").rename(tmp_path / f"{name}.db3")
+    with pytest.raises(InputError, match=r"cannot be opened.*rename it"):
+        read_drive_log(path)
 
 
 def test_a_database_that_was_not_closed_is_refused(tmp_path: Path) -> None:
