@@ -23,7 +23,6 @@ from affine import Affine
 from rasterio.crs import CRS
 from scipy import ndimage
 
-from hrt_cli.artifacts.drivelog import read_drive_log
 from hrt_cli.artifacts.provenance import record
 from hrt_cli.drivability.feedback import FeedbackSettings
 from hrt_cli.drivability.feedback_stage import learn_scores
@@ -32,6 +31,7 @@ from hrt_cli.driving.course import Course
 from hrt_cli.driving.simulator import Drive, Setting, first_heading, simulate
 from hrt_cli.driving.stage import DriveRequest, drive_file, local_planner
 from hrt_cli.driving.vehicle import AUV, UGV
+from hrt_cli.logs.read import read_drive_log
 from hrt_cli.planning.request import PlanRequest, Spending, parse_start
 from hrt_cli.planning.stage import plan_file
 from hrt_cli.raster.classes import publishing_classes

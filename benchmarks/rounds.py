@@ -21,7 +21,6 @@ from pathlib import Path
 import numpy as np
 from scipy.stats import spearmanr
 
-from hrt_cli.artifacts.drivelog import read_drive_log
 from hrt_cli.artifacts.scores import read_scores
 from hrt_cli.artifacts.world import read_world
 from hrt_cli.drivability.feedback import FeedbackSettings
@@ -29,6 +28,7 @@ from hrt_cli.drivability.feedback_stage import learn_scores
 from hrt_cli.drivability.stage import make_scoremap
 from hrt_cli.driving.stage import DriveRequest, drive_file
 from hrt_cli.evaluation.drives import evaluate_drives
+from hrt_cli.logs.read import read_drive_log
 from hrt_cli.planning.request import PlanRequest, Spending, parse_start
 from hrt_cli.planning.stage import plan_file
 from hrt_cli.raster.classes import open_classes

@@ -55,11 +55,17 @@ def drive(
 
     with console.bar("evaluate") as progress:
         found = evaluate_drives(logs, world=world, scoremap=scoremap, target=target, progress=progress)
+    for note in found.notes:
+        console.note(f"Note: {note}")
     if figure is not None:
+        from hrt_cli.logs.kinds import files_of
         from hrt_cli.report.drives import draw_drives
         from hrt_cli.world.site import site_files
 
-        inputs = {f"log/{index}": path for index, path in enumerate(logs)} | (site_files(world) if world else {})
+        inputs = {
+            role: file for index, path in enumerate(logs) for role, file in files_of(f"log/{index}", path).items()
+        }
+        inputs |= site_files(world) if world else {}
         draw_drives(
             inputs, figure, found.clearance_m, found.weight_s, found.view, caption=_line(found.total), existing=existing
         )
@@ -70,6 +76,7 @@ def drive(
             **asdict(found.total),
             "target_curve": [list(point) for point in found.view],
             "drives": {name: asdict(each) for name, each in found.drives.items()},
+            "notes": found.notes,
         },
         only_here=True,
     )

@@ -93,9 +93,10 @@ def feedback(
 ) -> None:
     """Learn from drives how drivable each class is.
 
-    LOGS are drives (JSON lines, CSV or GPX) over the ground of --classes. The speed that was achieved of what was
-    commanded is evidence for the classes under the robot; a collision or a standstill is evidence against what lies
-    ahead of it, once a square metre of ground over all LOGS. The output is a score table for `hrt scoremap`.
+    LOGS are drives (JSON lines, CSV, GPX, ROS bags, ArduPilot's .bin) over the ground of --classes. The speed that was
+    achieved of what was commanded is evidence for the classes under the robot; a collision or a standstill is evidence
+    against what lies ahead of it, once a square metre of ground over all LOGS. The output is a score table for
+    `hrt scoremap`.
     """
     from hrt_cli.drivability.feedback import FeedbackSettings
     from hrt_cli.drivability.feedback_stage import learn_scores

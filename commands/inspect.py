@@ -1,4 +1,4 @@
-"""`hrt inspect`: what is in a raster or in a project folder, and will it work."""
+"""`hrt inspect`: what is in a raster, a project folder or a drive log, and will it work."""
 
 from __future__ import annotations
 
@@ -36,8 +36,16 @@ def inspect(
     RASTER is a file, several tiles of one orthomosaic, or a folder: of a project of OpenDroneMap or Pix4D, of tiles, or
     of any rasters. Of a folder all that is found is listed, with the commands to run on it.
 
+    Of a drive log instead (.jsonl, .csv, .gpx, a ROS bag, ArduPilot's .bin) tell how far and how long it goes, what it
+    knows, and whether `feedback` will take it.
+
     Exits with 0 also where `segment` would refuse the raster: the refusal is then part of the answer.
     """
+    from hrt_cli.logs.kinds import is_log
+
+    if len(rasters) == 1 and is_log(rasters[0]):
+        _print_log(rasters[0], console)
+        return
     folder = len(rasters) == 1 and rasters[0].is_dir()
     if unreferenced and (folder or len(rasters) > 1):
         raise click.UsageError("--unreferenced is for one plain image")
@@ -142,3 +150,35 @@ def _kind(facts: dict[str, Any]) -> str:
 def _maker(facts: dict[str, Any]) -> str:
     by_name = " (by its name only)" if facts["made_with_by"] == "name" else ""
     return f"{facts['made_with']}{by_name}"
+
+
+def _print_log(path: Path, console: Console) -> None:
+    from hrt_cli.logs.inspect import inspect_log
+
+    found = inspect_log(path)
+    console.result(
+        "\n".join(_log_lines(found.facts, found.notes, found.refusal)),
+        {**found.facts, "notes": found.notes, "usable": found.refusal is None, "refusal": found.refusal},
+        only_here=True,
+    )
+
+
+def _log_lines(facts: dict[str, Any], notes: list[str], refusal: str | None) -> list[str]:
+    distance = "not known" if facts["distance_m"] is None else f"{facts['distance_m']:.1f} m"
+    speed = "" if facts["mean_speed_m_s"] is None else f", {facts['mean_speed_m_s']:.2f} m/s on average"
+    digits = 7 if facts["geographic"] else 2
+    start, end = (f"{facts[name][0]:.{digits}f}, {facts[name][1]:.{digits}f}" for name in ("start", "end"))
+    frame = "lon, lat" if facts["geographic"] else facts["own_frame"] or facts["crs"] or "x, y without a CRS"
+    lines = [
+        f"{facts['file']}: drive log ({facts['format']}), {facts['records']} records in {facts['duration_s']:.1f} s",
+        f"  way        {distance}{speed}; {facts['segments']} {'segment' if facts['segments'] == 1 else 'segments'}",
+        f"  place      from {start} to {end} ({frame})",
+        f"  tells      {', '.join(facts['known']) or 'time and place only'}",
+        f"  not told   {', '.join(facts['unknown']) or 'nothing'}",
+    ]
+    if facts["events"]:
+        lines.append(f"  events     {', '.join(f'{count} {name}' for name, count in facts['events'].items())}")
+    lines += [f"  topic      {each['topic']}: {each['messages']} {each['type']}" for each in facts.get("topics", ())]
+    lines += [f"  note       {note}" for note in notes]
+    lines.append(f"  feedback   {'would take it' if refusal is None else f'would refuse it: {refusal}'}")
+    return lines

@@ -11,8 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from hrt_cli.artifacts.carriers import json_provenance, publish_json
-from hrt_cli.artifacts.drivelog import DriveLog, read_drive_log
-from hrt_cli.artifacts.provenance import file_sha256
+from hrt_cli.artifacts.drivelog import DriveLog
 from hrt_cli.artifacts.scores import PRIOR, ClassScore, ScoreTable, read_score_table, scores_document
 from hrt_cli.artifacts.stage import REFUSE, Existing, begin
 from hrt_cli.drivability.feedback import Ease, Evidence, FeedbackSettings, evidence_of, settled, updated
@@ -20,6 +19,8 @@ from hrt_cli.drivability.footprint import NODATA, Footprints
 from hrt_cli.drivability.relief import eased
 from hrt_cli.drivability.terrain import Terrain
 from hrt_cli.errors import InputError
+from hrt_cli.logs.kinds import files_of, log_sha256, reading
+from hrt_cli.logs.read import log_notes, read_drive_log
 from hrt_cli.progress import Progress, silent
 from hrt_cli.raster.classes import ClassRaster, open_classes
 from hrt_cli.raster.gate import open_raster
@@ -105,13 +106,15 @@ def learn_scores(
     logs = _distinct(log_paths, prior, scores_path)
     if settings.forget_m is None:
         logs = dict(sorted(logs.items()))
-    inputs = {"classes": classes_path} | {f"log/{index}": path for index, path in enumerate(logs.values())}
+    inputs = {"classes": classes_path}
+    for index, path in enumerate(logs.values()):
+        inputs |= files_of(f"log/{index}", path)
     inputs |= {role: path for role, path in (("scores", scores_path), ("dsm", dsm_path)) if path}
     job = begin(
         STAGE,
         STAGE_VERSION,
         inputs=inputs,
-        parameters=settings.parameters(terrain=dsm_path is not None),
+        parameters=settings.parameters(terrain=dsm_path is not None) | reading(logs.values()),
         outputs={output: json_provenance},
         existing=existing,
     )
@@ -146,9 +149,9 @@ def _distinct(paths: Sequence[Path], prior: ScoreTable, scores_path: Path | None
     """Return the logs by sha256, in the order given; refuse what would count twice."""
     found: dict[str, Path] = {}
     for path in paths:
-        if not path.is_file():
+        if not path.exists():
             raise InputError(path, "no such file")
-        sha256 = file_sha256(path)
+        sha256 = log_sha256(path)
         if sha256 in found:
             raise InputError(path, f"holds the same drive as {found[sha256]}, which would count twice")
         if sha256 in prior.logs:
@@ -226,7 +229,7 @@ def _notes(path: Path, log: DriveLog, drive: Evidence, classes_path: Path) -> li
         notes.append(f"{path}: its positions jump: {drive.jumps} records or intervals count nothing")
     if not drive.weight_m.size:
         notes.append(f"{path}: holds no evidence: the robot did not drive on ground that has a class")
-    return notes
+    return notes + log_notes(path, log)
 
 
 def _terrain_notes(dsm_path: Path, drives: list[Evidence]) -> list[str]:

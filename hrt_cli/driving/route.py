@@ -8,13 +8,13 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from hrt_cli.artifacts.drivelog import read_drive_log
 from hrt_cli.artifacts.plan import PlanDocument
 from hrt_cli.driving.course import Course
 from hrt_cli.driving.field import inside_rim, rim_distance
 from hrt_cli.driving.vehicle import Vehicle
 from hrt_cli.errors import ArgumentError, InputError
-from hrt_cli.raster.track import points_on
+from hrt_cli.logs.read import log_notes, read_drive_log
+from hrt_cli.raster.track import no_place_on_a_map, points_on
 from hrt_cli.world.site import Site
 
 _BACK_UP_M = 0.4
@@ -43,12 +43,12 @@ def planned_course(
         The robot cannot be put down at the start.
     """
     points = _on_site(path, np.array(plan.xy), plan.grid.crs, site)
-    wanted = points[0] if after is None else _left_at(after, site)
+    wanted, notes = (points[0], []) if after is None else _left_at(after, site)
     start = _free_place(site, wanted, vehicle)
     if start is None:
         raise ArgumentError(f"{path}: its start lies on an obstacle or off the survey, and no free ground is near")
     moved = float(np.hypot(*(start - wanted)))
-    notes = [f"the robot is put down {moved:.1f} m beside the start, which is blocked"] if moved > 0.5 else []
+    notes += [f"the robot is put down {moved:.1f} m beside the start, which is blocked"] if moved > 0.5 else []
     places, more = _off_the_rim(points[1:] if len(points) > 1 else points, plan.grid.cell_size_m, site, vehicle)
     return Course(np.vstack([start, places])), notes + more
 
@@ -76,14 +76,16 @@ def _off_the_rim(
     return np.array(kept).reshape(-1, 2), notes
 
 
-def _left_at(path: Path, site: Site) -> NDArray[np.float64]:
-    """Return where a drive left the robot; where that was stuck, it has backed up a little."""
+def _left_at(path: Path, site: Site) -> tuple[NDArray[np.float64], list[str]]:
+    """Return where a drive left the robot (where that was stuck, it has backed up a little), and notes on its log."""
     log = read_drive_log(path)
+    if log.own_frame is not None:
+        raise no_place_on_a_map(path, log.own_frame)
     place = _on_site(path, log.place[-1:], "EPSG:4326" if log.geographic else log.crs, site)[0]
     if log.end == "stuck" and np.isfinite(log.heading_deg[-1]):
         heading = math.radians(log.heading_deg[-1]) - site.up_bearing_rad
         place = place - _BACK_UP_M * np.array([math.sin(heading), -math.cos(heading)])
-    return np.asarray(place)
+    return np.asarray(place), log_notes(path, log)
 
 
 def _on_site(path: Path, xy: NDArray[np.float64], crs: str | None, site: Site) -> NDArray[np.float64]:

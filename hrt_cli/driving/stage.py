@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from hrt_cli.artifacts.carriers import json_provenance
-from hrt_cli.artifacts.drivelog import Header, Robot, drive_provenance, publish_drive_log, read_drive_log
+from hrt_cli.artifacts.drivelog import Header, Robot, drive_provenance, publish_drive_log
 from hrt_cli.artifacts.plan import read_plan
 from hrt_cli.artifacts.publish import output_error
 from hrt_cli.artifacts.stage import REFUSE, Existing, ReadProvenance, begin
@@ -26,7 +26,10 @@ from hrt_cli.driving.simulator import Drive, Setting, first_heading, simulate, u
 from hrt_cli.driving.teacher import teacher_of
 from hrt_cli.driving.vehicle import VEHICLES, Vehicle
 from hrt_cli.errors import ArgumentError, InputError
+from hrt_cli.logs.kinds import files_of, reading
+from hrt_cli.logs.read import log_notes, read_drive_log
 from hrt_cli.progress import Progress, silent
+from hrt_cli.raster.track import no_place_on_a_map
 from hrt_cli.world.site import Site, load_site, site_files
 
 STAGE = "drive"
@@ -129,9 +132,11 @@ def drive_file(
     """
     _check_name(output)
     _check_request(request, plan_path, after)
-    given = {"plan": plan_path, **site_files(world), "after": after, "model": request.model}
+    before = {} if after is None else files_of("after", after)
+    given = {"plan": plan_path, **site_files(world), **before, "model": request.model}
     inputs = {role: path for role, path in given.items() if path is not None}
     parameters: dict[str, Any] = {key: value for key, value in asdict(request).items() if key != "model"}
+    parameters |= reading(() if after is None else (after,))
     outputs: dict[Path, ReadProvenance] = {output: drive_provenance}
     if record is not None:
         outputs[record / ABOUT] = json_provenance
@@ -183,20 +188,25 @@ def stay_file(plan_path: Path, output: Path, *, after: Path | None = None, exist
         See `hrt_cli.artifacts.stage.begin`.
     """
     _check_name(output)
-    inputs = {"plan": plan_path} | ({"after": after} if after else {})
+    inputs = {"plan": plan_path} | (files_of("after", after) if after else {})
+    parameters = {"stay": True} | reading((after,) if after else ())
     outputs: dict[Path, ReadProvenance] = {output: drive_provenance}
-    job = begin(STAGE, STAGE_VERSION, inputs=inputs, parameters={"stay": True}, outputs=outputs, existing=existing)
+    job = begin(STAGE, STAGE_VERSION, inputs=inputs, parameters=parameters, outputs=outputs, existing=existing)
+    notes: list[str] = []
     if not job.up_to_date:
         plan = read_plan(plan_path)
         place, names, crs, robot = plan.xy[0], ("x", "y"), plan.grid.crs, None
         if after is not None:
             log = read_drive_log(after)
+            if log.own_frame is not None:
+                raise no_place_on_a_map(after, log.own_frame)
+            notes = log_notes(after, log)
             place, robot = (float(log.place[-1, 0]), float(log.place[-1, 1])), log.robot
             names, crs = (("lon", "lat"), None) if log.geographic else (("x", "y"), log.crs)
         header = Header(format="hrt-drive-log", crs=crs, robot=robot, end="arrived")
         record = {"t": 0.0, **dict(zip(names, place, strict=True)), "speed_m_s": 0.0, "commanded_m_s": 0.0}
         publish_drive_log(output, header, [record], job.provenance)
-    return _summary(output, job.up_to_date, [])
+    return _summary(output, job.up_to_date, notes)
 
 
 def _check_name(output: Path) -> None:

@@ -12,13 +12,14 @@ from numpy.typing import NDArray
 from rasterio.crs import CRS
 from rasterio.errors import CRSError
 
-from hrt_cli.artifacts.drivelog import DriveLog, read_drive_log
+from hrt_cli.artifacts.drivelog import DriveLog
 from hrt_cli.driving.lens import clear_camera, look
 from hrt_cli.driving.local import Pose
 from hrt_cli.driving.motion import bottom_clearance, sample
 from hrt_cli.driving.vehicle import VEHICLES, Vehicle
 from hrt_cli.errors import ArgumentError, InputError
 from hrt_cli.evaluation.travel import metres_gone, travel_heading
+from hrt_cli.logs.read import log_notes, read_drive_log
 from hrt_cli.planning.resume import driven_cells
 from hrt_cli.progress import Progress, silent
 from hrt_cli.raster.grid import WGS84
@@ -88,6 +89,8 @@ class DriveEvaluation:
         Time that each stands for.
     view : list of (float, float)
         Metres driven, over all logs, and share of the frame that shows the target.
+    notes : list of str
+        What was chosen, dropped or taken for granted in reading the logs.
     """
 
     total: DriveMeasure
@@ -95,6 +98,7 @@ class DriveEvaluation:
     clearance_m: NDArray[np.float64]
     weight_s: NDArray[np.float64]
     view: list[tuple[float, float]]
+    notes: list[str]
 
 
 @dataclass(frozen=True)
@@ -105,6 +109,7 @@ class _Measured:
     clearance_m: NDArray[np.float64]
     weight_s: NDArray[np.float64]
     view: list[tuple[float, float]]
+    notes: list[str]
 
 
 def evaluate_drives(
@@ -196,7 +201,7 @@ def _measure(path: Path, site: Site | None, target: int | None, score: float | N
         target_in_view=float(np.mean([share for _, share in view])) if view else None,
         score_collected=score,
     )
-    return _Measured(measure, clearance, weight_s[: clearance.size], view)
+    return _Measured(measure, clearance, weight_s[: clearance.size], view, log_notes(path, log))
 
 
 def _gone(path: Path, log: DriveLog) -> NDArray[np.float64]:
@@ -319,7 +324,8 @@ def _together(found: dict[str, _Measured], score: float | None) -> DriveEvaluati
         target_in_view=float(np.mean([share for _, share in view])) if view else None,
         score_collected=score,
     )
-    return DriveEvaluation(total, {name: each.measure for name, each in found.items()}, clearance, weight, view)
+    notes = [note for each in parts for note in each.notes]
+    return DriveEvaluation(total, {name: each.measure for name, each in found.items()}, clearance, weight, view, notes)
 
 
 def _drivable_together(measures: list[DriveMeasure]) -> float | None:

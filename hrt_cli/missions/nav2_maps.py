@@ -77,7 +77,7 @@ def map_files(scoremap: Scoremap, frame: LocalFrame, blocked: Sequence[Cell] = (
     if grade:
         slower = 100 - np.where(go, np.maximum(percent, _SLOWEST), np.uint8(_SLOWEST))
         notes = [
-            f"For the speed filter: percent taken off the top speed, {100 - _SLOWEST} at most and where no robot may go.",
+            f"For the speed filter: percent taken off the top speed, {100 - _SLOWEST} at most (where none may go).",
             "As in Nav2's own tutorial: base 100, multiplier -1 (filter_info.yaml).",
         ]
         files |= _map_files("speed_mask", slower, grid, notes)

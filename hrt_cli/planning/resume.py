@@ -12,8 +12,9 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from hrt_cli.artifacts.drivelog import DriveLog, read_drive_log
+from hrt_cli.artifacts.drivelog import DriveLog
 from hrt_cli.errors import InputError
+from hrt_cli.logs.read import log_notes, read_drive_log
 from hrt_cli.raster.grid import Grid
 from hrt_cli.raster.scoremap import Scoremap
 from hrt_cli.raster.track import track_on
@@ -97,7 +98,7 @@ def read_drives(paths: Sequence[Path], scoremap: Scoremap) -> Driven:
     drives = [_laid(path, scoremap) for path in paths]
     cells = np.concatenate([each.cells for each in drives])
     standstills = [cell for each in drives for cell in each.blocked]
-    stands, notes = drives[-1].stands, []
+    stands, notes = drives[-1].stands, [note for each in drives for note in each.notes]
     if np.isnan(scoremap.score[stands]):
         go = cells[~np.isnan(scoremap.score[cells[:, 0], cells[:, 1]])]
         ended = stands
@@ -106,7 +107,7 @@ def read_drives(paths: Sequence[Path], scoremap: Scoremap) -> Driven:
             way_off = f"has to go back to {stands[0]},{stands[1]}, where the plan starts"
         else:
             way_off = "has been on no other ground, and the plan starts there"
-        notes = [f"{paths[-1]}: ends in cell {ended[0]},{ended[1]}, which is no-go: the robot {way_off}"]
+        notes.append(f"{paths[-1]}: ends in cell {ended[0]},{ended[1]}, which is no-go: the robot {way_off}")
     return Driven(
         cells=cells,
         stands=stands,
@@ -188,7 +189,7 @@ def _laid(path: Path, scoremap: Scoremap) -> Driven:
         length_m=float(ways_m[driven].sum()),
         time_s=float(log.time_s[-1] - log.time_s[0]),
         legs=legs,
-        notes=[],
+        notes=log_notes(path, log),
     )
 
 

@@ -13,6 +13,7 @@ from hrt_cli.artifacts.carriers import json_provenance, publish_json, read_stamp
 from hrt_cli.artifacts.jsonio import read_model
 from hrt_cli.artifacts.stage import REFUSE, Existing, begin
 from hrt_cli.errors import ArgumentError, InputError
+from hrt_cli.logs.kinds import files_of, reading
 from hrt_cli.planning.document import plan_document, staying_document, team_document
 from hrt_cli.planning.planner import MOST_ROBOTS, plan_team, plans_alone
 from hrt_cli.planning.policy import Policy, default_policies_sha256
@@ -80,13 +81,14 @@ def plan_file(
     _check_counts(request, visited)
     inputs = {"scoremap": scoremap_path}
     inputs |= {f"policy/{index}": path for index, path in enumerate(policy_paths)}
-    inputs |= {f"visited/{index}": path for index, path in enumerate(visited)}
+    for index, path in enumerate(visited):
+        inputs |= files_of(f"visited/{index}", path)
     files = [output] if request.robots == 1 else [artifact.robot_path(output, robot) for robot in range(request.robots)]
     job = begin(
         STAGE,
         STAGE_VERSION,
         inputs=inputs,
-        parameters=_parameters(request, policy_paths),
+        parameters=_parameters(request, policy_paths) | reading(visited),
         outputs=dict.fromkeys([*files, output] if request.robots > 1 else files, json_provenance),
         existing=existing,
     )

@@ -17,8 +17,16 @@ Floats = NDArray[np.float64]
 
 
 def track_on(path: Path, log: DriveLog, grid: Grid, what: str) -> tuple[Floats, Floats]:
-    """Return fractional rows and columns [n] of the places of a log; see `points_on`."""
+    """Return fractional rows and columns [n] of the places of a log (see `points_on`); its own frame is refused."""
+    if log.own_frame is not None:
+        raise no_place_on_a_map(path, log.own_frame)
     return points_on(path, log.place, WGS84.to_string() if log.geographic else log.crs, grid, what)
+
+
+def no_place_on_a_map(path: Path, own_frame: str) -> InputError:
+    """Return the refusal of a log whose places are in the robot's own frame."""
+    problem = f"its places are in the robot's own frame {own_frame}, which is not on the map"
+    return InputError(path, problem, "record a GPS (NavSatFix) as well")
 
 
 def points_on(path: Path, points: Floats, crs: str | None, grid: Grid, what: str) -> tuple[Floats, Floats]:

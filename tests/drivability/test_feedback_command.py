@@ -6,6 +6,7 @@ import json
 from pathlib import Path
 
 import pytest
+from bag_files import command, fix, odometry, write
 from click.testing import CliRunner, Result
 from drives import UTM33, eastward, halves, in_degrees, put_classes, put_log
 from hrt_commands.feedback import feedback
@@ -107,6 +108,53 @@ def test_every_kind_of_log_tells_the_same(site: tuple[Path, Path, Path], tmp_pat
         assert done.exit_code == 0, done.output
         found.append(json.loads(done.stdout)["evidence_m"])
     assert found == pytest.approx([10, 10, 10, 9], rel=1e-4)
+
+
+def bag(folder: Path, kind: str) -> Path:
+    """The drive of `site`, at 0.8 of the commanded speed, as a bag."""
+    said = [fix(each["t"], each["lon"], each["lat"]) for each in in_degrees(eastward(10))]
+    said += [odometry(k / 2, k / 2, 0, (0.8, 0.0)) for k in range(21)] + [command(k / 2, 1.0) for k in range(21)]
+    return write(folder, sorted(said, key=lambda each: each.time_s), kind)
+
+
+@pytest.mark.parametrize("kind", ["bag", "folder", "mcap folder", "mcap"])
+def test_a_bag_is_a_drive_that_counts_once(site: tuple[Path, Path, Path], tmp_path: Path, kind: str) -> None:
+    classes, log, output = site
+    run(log, "--classes", classes, "-o", output)
+    wanted = json.loads(output.read_text())["scores"]
+    path = bag(tmp_path / "bags", kind)
+    again = ["--classes", classes, "-o", tmp_path / "bag.json", "--json"]
+    found = json.loads(run(path, *again).stdout)
+    assert found["scores"]["0"]["mean"] == pytest.approx(wanted["0"]["mean"], abs=1e-6)
+    assert found["evidence_m"] == pytest.approx(10)
+    assert any(note.startswith(f"{path}: takes places from /fix") for note in found["notes"])
+    assert json.loads(run(path, *again).stdout)["up_to_date"]
+    inputs = json.loads((tmp_path / "bag.json").read_text())["provenance"]["inputs"]
+    files = sorted(each.name for each in path.iterdir()) if path.is_dir() else [path.name]
+    assert [each["name"] for each in inputs] == ["classes.tif", *files]
+    twin = next(each for each in path.iterdir() if each.suffix != ".yaml") if path.is_dir() else path
+    for options in ([path, twin], [twin, "--scores", tmp_path / "bag.json"]):
+        done = run(*options, "--classes", classes, "-o", tmp_path / "twice.json")
+        assert done.exit_code == 1
+        assert "twice" in str(done.exception) or "is counted" in str(done.exception)
+
+
+def test_places_in_the_robots_own_frame_are_refused(site: tuple[Path, Path, Path], tmp_path: Path) -> None:
+    classes, _, output = site
+    path = write(tmp_path, [odometry(k, k, 0, (1.0, 0.0)) for k in range(9)], "mcap")
+    done = run(path, "--classes", classes, "-o", output)
+    assert done.exit_code == 1
+    assert f"{path}: its places are in the robot's own frame odom, which is not on the map" in str(done.exception)
+
+
+def test_a_table_that_is_read_anew_is_learnt_from_anew(site: tuple[Path, Path, Path], tmp_path: Path) -> None:
+    """Its reader learnt more names; JSON lines and GPX are read as ever, and tables that they made stay up to date."""
+    classes, log, output = site
+    (tmp_path / "a.csv").write_text("t,x,y\n0,500002,4999995\n9,500009,4999995\n")
+    for path, version in ((log, None), (tmp_path / "a.csv", {"csv": 2})):
+        assert run(path, "--classes", classes, "-o", output, "--commanded", 1, "--overwrite").exit_code == 0
+        parameters = json.loads(output.read_text())["provenance"]["parameters"]
+        assert parameters.get("log_readers") == version
 
 
 def test_the_defaults_are_those_of_the_settings(site: tuple[Path, Path, Path]) -> None:

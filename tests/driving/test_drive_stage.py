@@ -17,7 +17,7 @@ from pyproj import Transformer
 from raster_files import UTM33
 from world_files import ground_site, map_xy, place_of, put_drive_log, put_plan, put_world
 
-from hrt_cli.artifacts.drivelog import drive_provenance, read_drive_log
+from hrt_cli.artifacts.drivelog import drive_provenance
 from hrt_cli.artifacts.plan import read_plan
 from hrt_cli.artifacts.stage import Existing
 from hrt_cli.driving.field import cost_map, inside_rim, rim_distance
@@ -25,6 +25,7 @@ from hrt_cli.driving.route import planned_course
 from hrt_cli.driving.stage import DriveRequest, DriveSummary, drive_file
 from hrt_cli.driving.vehicle import UGV
 from hrt_cli.errors import ArgumentError, InputError, OutputError
+from hrt_cli.logs.read import read_drive_log
 from hrt_cli.main import cli
 from hrt_cli.world.site import Site, load_site
 

@@ -11,9 +11,10 @@ import pytest
 from click.testing import CliRunner, Result
 from world_files import map_xy, put_plan, put_world
 
-from hrt_cli.artifacts.drivelog import drive_provenance, read_drive_log
+from hrt_cli.artifacts.drivelog import drive_provenance
 from hrt_cli.driving.stage import DriveRequest, drive_file
 from hrt_cli.errors import ArgumentError
+from hrt_cli.logs.read import read_drive_log
 from hrt_cli.main import cli
 
 

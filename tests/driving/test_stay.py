@@ -7,10 +7,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from bag_files import fix, odometry, write
 from click.testing import CliRunner
 
-from hrt_cli.artifacts.drivelog import read_drive_log
 from hrt_cli.artifacts.npz import write_npz
+from hrt_cli.logs.read import read_drive_log
 from hrt_cli.main import cli
 
 REAL = '{"format": "hrt-drive-log", "crs": "EPSG:32633"}\n{"t": 3.0, "x": 400012.5, "y": 4999980.5}\n'
@@ -43,6 +44,19 @@ def test_the_robot_stands_where_the_drive_before_ended(plan: Path, tmp_path: Pat
         assert found.place.tolist() == wanted.place[-1:].tolist()
         assert (found.crs, found.geographic) == (wanted.crs, wanted.geographic)
         assert ran("drive", plan, "--stay", "--after", before, "-o", log)["up_to_date"]
+
+
+def test_the_drive_before_may_be_a_bag_if_it_is_on_the_map(plan: Path, tmp_path: Path) -> None:
+    before = write(tmp_path, [fix(k, 8.0 + k, 47.0) for k in range(3)], "folder")
+    said = ran("drive", plan, "--stay", "--after", before, "-o", tmp_path / "stay.jsonl")
+    assert said["notes"] == [f"{before}: takes places from /fix"]
+    assert read_drive_log(tmp_path / "stay.jsonl").place.tolist() == [[10.0, 47.0]]
+    wheels = write(tmp_path, [odometry(k, k, 0) for k in range(3)], "bag")
+    done = CliRunner().invoke(
+        cli, ["drive", str(plan), "--stay", "--after", str(wheels), "-o", str(tmp_path / "x.jsonl")]
+    )
+    assert "own frame odom, which is not on the map" in str(done.exception)
+    assert not (tmp_path / "x.jsonl").exists()
 
 
 def test_without_a_drive_before_it_stands_at_the_start(plan: Path, tmp_path: Path) -> None:

@@ -15,7 +15,7 @@ from tiny_trunk import TinyTrunk
 from world_files import ground_site, map_xy, put_plan, put_world
 
 from hrt_cli import main as shell
-from hrt_cli.artifacts.drivelog import drive_provenance, read_drive_log
+from hrt_cli.artifacts.drivelog import drive_provenance
 from hrt_cli.artifacts.provenance import file_sha256, record
 from hrt_cli.driving.course import Course
 from hrt_cli.driving.lens import camera_of, look
@@ -25,6 +25,7 @@ from hrt_cli.driving.stage import DriveRequest, drive_file, local_planner
 from hrt_cli.driving.steer import Steer, best_angle, both_ways
 from hrt_cli.driving.vehicle import AUV, UGV
 from hrt_cli.errors import ArgumentError, InputError
+from hrt_cli.logs.read import read_drive_log
 from hrt_cli.steering.network import net as network
 from hrt_cli.steering.network.model import publish_model
 from hrt_cli.steering.network.net import SteeringConfig, SteeringNet, directions

@@ -10,6 +10,7 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
+from bag_files import fix, odometry, write
 from click.testing import CliRunner, Result
 from pyproj import Transformer
 from raster_files import UTM33
@@ -327,6 +328,21 @@ def test_the_command(tmp_path: Path, walled: Path, scoremap: Path) -> None:
     assert hrt(*words).exit_code != 0, "the figure is another's"
     assert hrt(*words, "--overwrite").exit_code == 0
     assert figure.read_bytes() != before
+
+
+def test_a_bag_is_measured_and_what_was_chosen_is_told(tmp_path: Path, walled: Path) -> None:
+    said = [fix(each["t"], each["lon"], each["lat"]) for each in like_a_receiver(eastward(8.0))]
+    bag = write(tmp_path, said, "folder")
+    done = hrt("evaluate", "drive", bag, "--world", walled, "--figure", tmp_path / "f.png", "--json")
+    assert done.exit_code == 0, done.output
+    found = json.loads(done.stdout)
+    assert found["distance_m"] == pytest.approx(8.0, rel=0.01)
+    assert found["notes"] == [f"{bag}: takes places from /fix"]
+    assert done.stderr == f"Note: {bag}: takes places from /fix\n"
+    wheels = write(tmp_path / "wheels", [odometry(k, k, 0.0, (1.0, 0.0)) for k in range(9)], "mcap")
+    assert json.loads(hrt("evaluate", "drive", wheels, "--json").stdout)["distance_m"] == pytest.approx(8.0)
+    refused = hrt("evaluate", "drive", wheels, "--world", walled)
+    assert "own frame odom, which is not on the map" in str(refused.exception)
 
 
 def test_a_figure_needs_a_world(tmp_path: Path) -> None:

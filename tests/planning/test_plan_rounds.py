@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from bag_files import odometry, write
 from click.testing import CliRunner, Result
 
 from hrt_cli.artifacts.plan import read_plan
@@ -145,6 +146,16 @@ def test_nobody_drove_over_the_break_of_a_gpx_track(tmp_path: Path) -> None:
     assert sorted({col for _, col in found.cells.tolist()}) == [0, 1, 2, 10, 11, 12]
     assert found.spent("steps", 4) == 4
     assert found.length_m == pytest.approx(4 * 0.788, rel=0.01)
+
+
+def test_what_was_taken_for_granted_in_reading_a_log_is_told(tmp_path: Path) -> None:
+    scoremap, log = put_map(tmp_path / "map.npz"), tmp_path / "d.csv"
+    log.write_text("time,x,y,v\n0,5,-5,1\n2,7,-5,1\n")
+    done = plan(scoremap, "-o", tmp_path / "p.json", "--budget", 20, "--visited", log, "--visited", log)
+    assert done.stderr.count(f"Note: {log}: takes v to be in m/s") == 2
+    wheels = write(tmp_path, [odometry(k, 5 + k, -5) for k in range(3)], "mcap folder")
+    refused = hrt("plan", scoremap, "-o", tmp_path / "q.json", "--budget", 20, "--visited", wheels)
+    assert "own frame odom, which is not on the map" in str(refused.exception)
 
 
 def test_a_robot_on_ground_that_became_no_go_goes_back_on_its_own_track(tmp_path: Path) -> None:

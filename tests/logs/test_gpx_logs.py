@@ -10,8 +10,8 @@ import gpxpy.gpx
 import numpy as np
 import pytest
 
-from hrt_cli.artifacts.drivelog import read_drive_log
 from hrt_cli.errors import InputError
+from hrt_cli.logs.read import read_drive_log
 
 HEAD = '<?xml version="1.0" encoding="UTF-8"?>\n'
 OPEN = {

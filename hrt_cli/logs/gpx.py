@@ -13,7 +13,9 @@ from datetime import UTC
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from hrt_cli.artifacts.drivelog import DriveLog, Record, line_model
 from hrt_cli.errors import InputError
+from hrt_cli.logs.assemble import NO_HEADER, log_of_records
 
 if TYPE_CHECKING:
     from gpxpy.gpx import GPXTrackPoint
@@ -22,22 +24,8 @@ _DECLARES = re.compile(r"<!\s*(?:DOCTYPE|ENTITY)", re.IGNORECASE)
 _MOST_NESTED = 20
 
 
-def read_gpx(path: Path, text: str) -> tuple[list[dict[str, float]], tuple[int, ...]]:
-    """Return the points of all tracks, and which of them begin a new segment.
-
-    Parameters
-    ----------
-    path : Path
-        For the message.
-    text : str
-        The file.
-
-    Returns
-    -------
-    records : list of dict
-        With `t` (Unix seconds), `lon`, `lat`, and where the file says so `speed_m_s` and `heading_deg`.
-    breaks : tuple of int
-        Indices of the records before which the track was interrupted.
+def read_gpx(path: Path, text: str) -> DriveLog:
+    """Return the points of all tracks: Unix seconds, lon, lat, and where the file says so speed and heading.
 
     Raises
     ------
@@ -62,7 +50,8 @@ def read_gpx(path: Path, text: str) -> tuple[list[dict[str, float]], tuple[int, 
             records.append(_record(path, point, len(records) + 1))
     if not records:
         raise InputError(path, "has no track with points: routes and waypoints are no drive")
-    return records, tuple(breaks)
+    checked = [line_model(path, number, Record, each) for number, each in enumerate(records, start=1)]
+    return log_of_records(path, NO_HEADER, checked, breaks=tuple(breaks))
 
 
 def _record(path: Path, point: GPXTrackPoint, number: int) -> dict[str, float]:

@@ -11,15 +11,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hrt_cli.artifacts.drivelog import (
-    Header,
-    Robot,
-    drive_provenance,
-    publish_drive_log,
-    read_drive_log,
-)
+from hrt_cli.artifacts.drivelog import Header, Robot, drive_provenance, publish_drive_log
 from hrt_cli.artifacts.provenance import record
 from hrt_cli.errors import InputError
+from hrt_cli.logs.read import read_drive_log
 
 HEADER = '{"format": "hrt-drive-log"}'
 PLACE = {"x": 1.0, "y": 2.0}
@@ -41,18 +36,18 @@ def publish(path: Path, records: list[dict[str, Any]]) -> Path:
 def test_what_is_written_is_read_back(tmp_path: Path) -> None:
     records = [
         {"t": 0.0, "x": 500000.123, "y": 1.0, "speed_m_s": 0.5, "commanded_m_s": 0.6, "heading_deg": 359.9,
-         "pitch_deg": -5.5, "depth_m": 3.25},
+         "pitch_deg": -5.5, "roll_deg": 4.5, "depth_m": 3.25},
         {"t": 0.4, "x": 500000.223, "y": 1.0, "event": "collision"},
         {"t": 0.4, "x": 500000.223, "y": 1.1, "event": "stuck"},
     ]  # fmt: skip
     path = publish(tmp_path / "d.jsonl", records)
     log = read_drive_log(path)
     assert (log.crs, log.robot, log.end) == ("EPSG:32633", Robot(kind="auv", radius_m=0.3), "out of time")
-    assert (log.geographic, log.breaks) == (False, ())
+    assert (log.geographic, log.breaks, log.own_frame, log.notes) == (False, (), None, ())
     assert log.events == ((1, "collision"), (2, "stuck"))
     np.testing.assert_array_equal(log.time_s, [0.0, 0.4, 0.4])
     np.testing.assert_array_equal(log.place, [[each["x"], each["y"]] for each in records])
-    for name in ("speed_m_s", "commanded_m_s", "heading_deg", "pitch_deg", "depth_m"):
+    for name in ("speed_m_s", "commanded_m_s", "heading_deg", "pitch_deg", "roll_deg", "depth_m"):
         np.testing.assert_array_equal(getattr(log, name), [records[0][name], np.nan, np.nan])
     assert drive_provenance(path).stage == "test"
 
@@ -100,6 +95,7 @@ def test_a_log_of_another_program(tmp_path: Path) -> None:
         ([{"t": 0, **PLACE, "speed_m_s": -1}], "speed_m_s"),
         ([{"t": 0, **PLACE, "event": "fell over"}], "event"),
         ([{"t": 0, **PLACE, "heading_deg": 400}], "heading_deg"),
+        ([{"t": 0, **PLACE, "roll_deg": 181}], "roll_deg"),
         ([{"t": 0, "lon": 181, "lat": 0}], "lon"),
         ([{"t": 0, **PLACE, "drivability": 0.3}], "drivability"),
     ],
@@ -140,17 +136,6 @@ def test_line_ends_and_empty_lines_do_not_matter(tmp_path: Path) -> None:
     path = tmp_path / "d.jsonl"
     path.write_bytes(HEADER.encode() + b'\r\n{"t": 0, "x": 1, "y": 2}\r\n\r\n{"t": 1, "x": 1, "y": 3}\r\n')
     assert len(read_drive_log(path).time_s) == 2
-
-
-def test_a_table_is_read(tmp_path: Path) -> None:
-    path = tmp_path / "d.csv"
-    path.write_text("t, x ,y,event,battery\n0,1,2,,99\n1,1,3,stuck,98\n")
-    log = read_drive_log(path)
-    assert log.events == ((1, "stuck"),)
-    assert log.place.tolist() == [[1, 2], [1, 3]]
-    path.write_text("t,x,y\n")
-    with pytest.raises(InputError, match="has no records"):
-        read_drive_log(path)
 
 
 @given(text=st.text(alphabet='{}[]":,0129.-eEtxylonau \n', max_size=120))
