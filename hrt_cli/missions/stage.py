@@ -120,7 +120,7 @@ def export_missions(
             f"{scoremap_path}: its scores hold interest or exploration, not drivability alone: the keepout mask only"
             " bars, and there is no speed mask"
         )
-    if scoremap_path is not None:
+    if scoremap_path is not None and target.name == "qgc":
         notes += _forgotten(scoremap_path, [path for path in (aoi_path, *keep_out_paths) if path is not None])
     return Export(target.name, missions, notes)
 
@@ -137,6 +137,7 @@ def _open_cells(path: Path, plan: PlanDocument, scoremap_path: Path, scoremap: S
     crs = None if grid.crs is None else CRS.from_user_input(grid.crs)
     require_same_grid(path, Grid(grid.rows, grid.cols, Affine(*grid.transform), crs), scoremap_path, scoremap.grid)
     go = np.isfinite(scoremap.score)
+    go[plan.start] = True  # where the robot stands, whatever is known of it by now
     for row, col in plan.cells:
         if not go[row, col]:
             raise InputError(path, f"enters cell {row},{col}, which is no-go on {scoremap_path}", "plan again on it")

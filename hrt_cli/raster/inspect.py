@@ -27,7 +27,7 @@ USES: dict[str, list[str]] = {
     "orthomosaic": ["hrt segment FILE"],
     "surface model": ["hrt scoremap --dsm FILE", "hrt feedback --dsm FILE", "hrt drive --world DIR, as dsm.tif"],
     "terrain model": ["hrt scoremap --dsm FILE", "hrt feedback --dsm FILE"],
-    "thermal orthomosaic": ["hrt scoremap --interest FILE --thermal-units UNIT"],
+    "thermal orthomosaic": ["hrt scoremap --interest FILE --thermal-units auto"],
     "index map": ["hrt scoremap --interest FILE"],
     "measured values": ["heights: hrt scoremap --dsm FILE", "temperatures: hrt scoremap --interest FILE"],
     "class raster": ["hrt scoremap FILE"],
