@@ -62,9 +62,9 @@ Example:
     "--visited",
     type=opt.PATH,
     multiple=True,
-    help="Log (any that `hrt inspect` takes) of a drive to go on from: cells it went through pay nothing, what it spent "
-    "is taken off the budget, cells where it got stuck become no-go; one for all robots, one for each, or all of one "
-    "robot's.",
+    help="Log (any that `hrt inspect` takes) of a drive to go on from: cells it went through pay nothing, what it "
+    "spent is taken off the budget, cells where it got stuck become no-go; one for all robots, one for each, or all of "
+    "one robot's.",
 )
 @click.option(
     "--or-stay", is_flag=True, help="With no move left (budget spent, walled in), plan to stay; else refused."
