@@ -54,7 +54,10 @@ _METADATA = "metadata.yaml"
 def is_log(path: Path) -> bool:
     """Whether a file or folder is meant to be a drive log, by its name and its first bytes; it may be a broken one."""
     if path.is_dir():
-        return any(each.name == _METADATA or each.suffix in (".db3", ".mcap") for each in path.iterdir())
+        # A bag that lost its metadata holds nothing but data; a project's folder may hold a bag among other things.
+        files = [each for each in _inside(path) if not each.name.startswith(".")]
+        data = bool(files) and all(each.suffix in (".db3", ".mcap") for each in files)
+        return data or any(each.name == _METADATA for each in files)
     if _named(path) is not None:
         return True
     found = _begun(path)
@@ -93,7 +96,7 @@ def files_of(role: str, path: Path) -> dict[str, Path]:
     """Return the files of a log by their roles, for the provenance: itself, or those in the folder of a bag."""
     if not path.is_dir():
         return {role: path}
-    return {f"{role}/{each.name}": each for each in sorted(path.iterdir()) if each.is_file()}
+    return {f"{role}/{each.name}": each for each in _inside(path) if each.is_file()}
 
 
 def log_sha256(path: Path) -> str:
@@ -115,6 +118,13 @@ def reading(paths: Iterable[Path]) -> dict[str, Any]:
     kinds = {_named(path) for path in paths} - {None}
     versions = {kind.name: kind.version for kind in kinds if kind is not None and kind.version > 1}
     return {"log_readers": dict(sorted(versions.items()))} if versions else {}
+
+
+def _inside(folder: Path) -> list[Path]:
+    try:
+        return sorted(folder.iterdir())
+    except OSError as error:
+        raise InputError(folder, f"cannot be read: {error.strerror or error}") from error
 
 
 def _named(path: Path) -> Kind | None:

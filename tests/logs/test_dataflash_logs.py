@@ -134,6 +134,17 @@ def test_without_a_date_times_count_from_when_it_was_switched_on(tmp_path: Path)
     assert np.isnan(log.speed_m_s).all()
 
 
+def test_headings_go_through_north_between_two_that_were_logged(tmp_path: Path) -> None:
+    said = [att(0, 0, 0, 350), pos(0.5, 45.0, 15.0), att(1, 0, 0, 20)]
+    assert read_drive_log(put(tmp_path / "a.bin", said)).heading_deg.tolist() == [pytest.approx(5)]
+
+
+def test_places_at_0_0_are_dropped(tmp_path: Path) -> None:
+    log = read_drive_log(put(tmp_path / "a.bin", [pos(0, 0, 0), pos(1, 0, 15), pos(2, 45, 0)]))
+    assert log.time_s.tolist() == [1, 2]
+    assert "drops 1 places at 0, 0" in log.notes
+
+
 def test_a_command_that_is_old_is_not_known(tmp_path: Path) -> None:
     said = [thr(0, 0.5), *(pos(k / 2, 45.0, lng(k)) for k in range(10))]
     log = read_drive_log(put(tmp_path / "a.bin", said))

@@ -165,6 +165,11 @@ def test_what_is_meant_to_be_a_log(tmp_path: Path) -> None:
         assert is_log(tmp_path / name), name
     raster = write_raster(tmp_path / "a.tif", np.zeros((3, 4, 4), np.uint8))
     (tmp_path / "tiles").mkdir()
+    lost = write(tmp_path / "lost", said, "mcap").parent
+    (lost / "metadata.yaml").unlink()
+    assert is_log(lost)
+    (lost / "ortho.tif").touch()
+    assert not is_log(lost)
     for path in (raster, tmp_path / "tiles", tmp_path / "nothing.tif", tmp_path / "a.png", tmp_path / "plan.json"):
         assert not is_log(path), path
 
