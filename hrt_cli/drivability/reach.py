@@ -21,6 +21,7 @@ ABOUT_SHARE = 0.1
 """What all cells about a station pay together, as a share of what the station does: lingering does not pay."""
 
 _ROUNDING = 1e-9
+_HALF_DIAGONAL = math.sqrt(0.5)
 
 kernel: Any = njit(cache=True, nogil=True)
 """One hot cell after the other, as each depends on those before it."""
@@ -29,7 +30,8 @@ kernel: Any = njit(cache=True, nogil=True)
 def interest_at_stations(values: NDArray[np.floating], share: Floats, go: Mask, radius: float) -> tuple[Floats, int]:
     """Return how much each cell is worth a visit if what lies within a radius of it is sampled from it.
 
-    Hot cells (interest above 0) are taken from the hottest on. One that no station reaches yet makes the cell that may
+    Hot cells (interest above 0) are taken from the hottest on. One that no station reaches yet (a cell hotter than its
+    neighbours, which hides a peak somewhere in it: reaches all of it) makes the cell that may
     be entered nearest to it, itself if it may be, a station with its interest, and other cells within the radius of the
     hot cell worth less: falling linearly with the distance to 0 at the radius, all of a disc together `ABOUT_SHARE`.
     What several give a cell does not add up: the most counts. Ground of the largest region (4-neighbours) has stations
@@ -55,12 +57,13 @@ def interest_at_stations(values: NDArray[np.floating], share: Floats, go: Mask, 
     """
     out = np.zeros(go.shape)
     reached = np.zeros(go.shape, np.bool_)
+    peak = values >= ndimage.maximum_filter(np.where(share > 0, values, -np.inf), size=3)
     for region in _regions(go):
         away, nearest = ndimage.distance_transform_edt(~region, return_indices=True)
         hot = (share > 0) & (away <= radius + _ROUNDING)
         if hot.any():
             reached |= hot
-            _set_stations(out, np.where(hot, values, np.nan), share, nearest, region, radius)
+            _set_stations(out, np.where(hot, values, np.nan), share, peak, nearest, region, radius)
     spots, count = ndimage.label(share > 0, structure=np.ones((3, 3)))
     return out, count - np.unique(spots[reached]).size
 
@@ -68,13 +71,19 @@ def interest_at_stations(values: NDArray[np.floating], share: Floats, go: Mask, 
 def _regions(go: Mask) -> list[Mask]:
     labels, count = ndimage.label(go)
     if count < 2:
-        return [go]
+        return [go] * count
     largest = labels == 1 + int(np.argmax(np.bincount(labels.ravel())[1:]))
     return [largest, go & ~largest]
 
 
 def _set_stations(
-    out: Floats, values: NDArray[np.floating], share: Floats, nearest: NDArray[np.int32], region: Mask, radius: float
+    out: Floats,
+    values: NDArray[np.floating],
+    share: Floats,
+    peak: Mask,
+    nearest: NDArray[np.int32],
+    region: Mask,
+    radius: float,
 ) -> None:
     """Put what the stations of one region are worth into `out`; hot are the cells whose value is not NaN."""
     flat = np.flatnonzero(~np.isnan(values))
@@ -83,37 +92,48 @@ def _set_stations(
     side = math.floor(radius + _ROUNDING)
     offsets = np.hypot(*np.ogrid[-side : side + 1, -side : side + 1])
     disc = offsets <= radius + _ROUNDING
-    chosen = stations_of(hot, at, np.argwhere(disc) - side, *region.shape)
+    whole = offsets <= radius - _HALF_DIAGONAL + _ROUNDING
+    chosen = stations_of(hot, at, peak.ravel()[hot], np.argwhere(disc) - side, whole[disc], *region.shape)
     _paint_about(out, hot[chosen], share.ravel()[hot[chosen]], offsets, disc, region, radius)
     np.maximum.at(out.ravel(), at[chosen], share.ravel()[hot[chosen]])
 
 
 @kernel
 def stations_of(
-    hot: NDArray[np.intp], at: NDArray[np.intp], disc: NDArray[np.intp], rows: int, cols: int
+    hot: NDArray[np.intp],
+    at: NDArray[np.intp],
+    peak: NDArray[np.bool_],
+    disc: NDArray[np.intp],
+    whole: NDArray[np.bool_],
+    rows: int,
+    cols: int,
 ) -> NDArray[np.bool_]:
-    """Return which hot cells are given a station: those that lie in the disc of none before them.
+    """Return which hot cells are given a station: those that no station before them reaches.
 
     Parameters
     ----------
     hot, at : int [n]
         Flat indices of the hot cells in their order, and of the cells from where each would be sampled.
+    peak : bool [n]
+        Those of which all has to be reached.
     disc : int [m, 2]
         Rows and columns of the cells within reach, from the middle one.
+    whole : bool [m]
+        Those of which all is.
     rows, cols : int
         Size of the map.
     """
-    sampled = np.zeros(rows * cols, np.bool_)
+    reached = np.zeros(rows * cols, np.uint8)
     chosen = np.zeros(hot.size, np.bool_)
     for n in range(hot.size):
-        if sampled[hot[n]]:
+        if reached[hot[n]] > peak[n]:
             continue
         chosen[n] = True
         row, col = at[n] // cols, at[n] % cols
         for m in range(disc.shape[0]):
             i, j = row + disc[m, 0], col + disc[m, 1]
             if 0 <= i < rows and 0 <= j < cols:
-                sampled[i * cols + j] = True
+                reached[i * cols + j] = max(reached[i * cols + j], 1 + whole[m])
     return chosen
 
 

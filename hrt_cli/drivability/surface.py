@@ -38,7 +38,10 @@ _HALO = 2
 """Points beyond the cells that their windows reach: one for the slope, one more for the ruggedness."""
 _BLOCK_POINTS = 1024
 _BLOCK_PX = 4096
-_AS_FINE = 1 + 1e-6
+_ABOUT = 1.02
+"""Pixels of 0.25 m in the map's own metres may be this much larger on the ground."""
+_FEW_PX = 4
+"""Along a point of fewer pixels, shares of whole ones would put its height beside its place."""
 
 VOID = (-9999.0, -10000.0, -32767.0, -32768.0, float(np.finfo(np.float32).min))
 """What OpenDroneMap, Pix4D and others write where there is no height, also where they do not declare it."""
@@ -197,7 +200,7 @@ def _lattice(cell_m: float, pixel_m: float) -> tuple[int, int]:
 
     Points are `LATTICE_M` apart, a little more where a cell is no multiple of that, and not closer than pixels.
     """
-    per_cell = max(1, math.floor(cell_m / max(LATTICE_M, pixel_m) * _AS_FINE))
+    per_cell = max(1, math.floor(cell_m / max(LATTICE_M, pixel_m) * _ABOUT))
     return per_cell, max(1, round(LATTICE_M / cell_m))
 
 
@@ -209,9 +212,27 @@ def _block(raster: Raster, grid: Grid, block: Window, step: float) -> tuple[NDAr
     if window_or_none(raster.path, raster.grid, part) is None:
         return np.full((rows, cols), np.nan), np.full((rows, cols), np.nan)
     row_m, col_m = (side * step for side in grid.pixel_m)
-    fine = max(raster.grid.pixel_m) <= max(row_m, col_m) * _AS_FINE
-    heights = field_on(raster, part, "average" if fine else "bilinear", void=VOID).astype(np.float64)
+    heights = _heights(raster, part, max(row_m, col_m))
     heights *= raster.scales[0] * height_unit_m(raster)  # the offset tilts nothing
     by_row, by_col = gradient(heights, row_m, col_m)
     inside = slice(_HALO, -_HALO), slice(_HALO, -_HALO)
     return slope(by_row, by_col)[inside], ruggedness(by_row, by_col)[inside]
+
+
+def _heights(raster: Raster, part: Grid, step_m: float) -> NDArray[np.float64]:
+    """Return the mean height about each point of a lattice, in the raster's unit; NaN where none is known.
+
+    Of many pixels to a point, that is their mean by area; of few, the mean of heights interpolated at a finer lattice;
+    of less than one, the interpolated height. The last two leave a plane a plane.
+    """
+    finer = math.ceil(step_m / max(raster.grid.pixel_m) / _ABOUT)
+    if finer > _FEW_PX:
+        return field_on(raster, part, "average", void=VOID).astype(np.float64)
+    finer = max(1, finer)
+    fine = Grid(part.rows * finer, part.cols * finer, part.transform @ Affine.scale(1 / finer), part.crs)
+    points = field_on(raster, fine, "bilinear", void=VOID).astype(np.float64)
+    about = points.reshape(part.rows, finer, part.cols, finer)
+    known = np.isfinite(about)
+    count = known.sum(axis=(1, 3))
+    total = np.where(known, about, 0.0).sum(axis=(1, 3))
+    return np.where(count > 0, total / np.maximum(count, 1), np.nan)
