@@ -11,8 +11,8 @@ from hrt_cli import options as opt
 from hrt_cli.progress import Console
 
 if TYPE_CHECKING:
-    from hrt_cli.raster.inspect import Inspection
-    from hrt_cli.raster.project import Project
+    from hrt_cli.inspection.project import Project
+    from hrt_cli.inspection.rasters import Inspection
 
 
 @click.command(
@@ -60,8 +60,8 @@ def inspect(
 def _print_raster(
     rasters: tuple[Path, ...], bands: tuple[int, ...], nodata: float | None, unreferenced: bool, console: Console
 ) -> None:
-    from hrt_cli.raster.inspect import inspect_raster
-    from hrt_cli.raster.project import inspect_tiles
+    from hrt_cli.inspection.project import inspect_tiles
+    from hrt_cli.inspection.rasters import inspect_raster
 
     if len(rasters) == 1:
         found = inspect_raster(rasters[0], bands=bands, nodata=nodata, unreferenced=unreferenced)
@@ -71,7 +71,7 @@ def _print_raster(
 
 
 def _print_folder(folder: Path, nodata: float | None, console: Console) -> None:
-    from hrt_cli.raster.project import inspect_folder
+    from hrt_cli.inspection.project import inspect_folder
 
     project = inspect_folder(folder, nodata=nodata)
     data = {
@@ -153,7 +153,7 @@ def _maker(facts: dict[str, Any]) -> str:
 
 
 def _print_log(path: Path, console: Console) -> None:
-    from hrt_cli.logs.inspect import inspect_log
+    from hrt_cli.inspection.drives import inspect_log
 
     found = inspect_log(path)
     console.result(

@@ -18,8 +18,8 @@ from raster_files import PLACE, patches, write_raster
 
 from hrt_cli import main as shell
 from hrt_cli.errors import HrtError, InputError
-from hrt_cli.raster.inspect import inspect_raster
-from hrt_cli.raster.project import inspect_folder
+from hrt_cli.inspection.project import inspect_folder
+from hrt_cli.inspection.rasters import inspect_raster
 
 WILDFIRE = Path(__file__).parents[2] / "fixtures" / "wildfire"
 SHARED = Path(__file__).parents[3] / "shared" / "data"

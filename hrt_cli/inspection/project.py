@@ -10,9 +10,9 @@ from pathlib import Path
 import numpy as np
 
 from hrt_cli.errors import HrtError, InputError
+from hrt_cli.inspection.rasters import Inspection, inspect_raster, inspect_rasters
 from hrt_cli.raster.files import rasters_in
 from hrt_cli.raster.grid import Grid, transform_points
-from hrt_cli.raster.inspect import Inspection, inspect_raster, inspect_rasters
 from hrt_cli.raster.mosaic import open_layer
 
 _ODM = ("odm_orthophoto/odm_orthophoto.tif", "odm_dem/dsm.tif", "odm_dem/dtm.tif")

@@ -10,7 +10,7 @@ from affine import Affine
 from mapping_files import MOST, NOT_ALPHA, SIDE, heights, model, odm, pix4d_mosaic, pixels, seen, tag
 from raster_files import PLACE, patches, write_raster, write_sparse
 
-from hrt_cli.raster.inspect import inspect_raster
+from hrt_cli.inspection.rasters import inspect_raster
 
 FEET = Affine(0.3, 0, 980_000, 0, -0.3, 200_000)
 """In New York's State Plane, US survey feet."""

@@ -11,11 +11,11 @@ from typing import Any
 import numpy as np
 
 from hrt_cli.errors import HrtError, InputError
+from hrt_cli.inspection.traps import traps
 from hrt_cli.raster.gate import Raster, open_raster
 from hrt_cli.raster.grid import Grid
 from hrt_cli.raster.image import Image, open_orthomosaic
 from hrt_cli.raster.recognise import Sample, data_bands, hrt_stage, made_with, require_picture, take_sample, what_it_is
-from hrt_cli.raster.traps import traps
 
 # Measured with benchmarks/texture.py on one core of the slow machine it was written on: a rough guide only.
 _MEGAPIXELS_PER_SECOND = 20.0

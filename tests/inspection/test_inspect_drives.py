@@ -18,7 +18,7 @@ from pyproj import Geod
 from raster_files import write_raster
 
 from hrt_cli.errors import InputError
-from hrt_cli.logs.inspect import inspect_log
+from hrt_cli.inspection.drives import inspect_log
 from hrt_cli.logs.kinds import is_log, reading
 from hrt_cli.logs.read import read_drive_log
 from hrt_cli.main import cli, main

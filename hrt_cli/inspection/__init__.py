@@ -1,0 +1,1 @@
+"""What files are, whether they will work, and what to run on them."""
