@@ -23,13 +23,13 @@ from hrt_cli.logs.kinds import files_of, log_sha256, reading
 from hrt_cli.logs.read import log_notes, read_drive_log
 from hrt_cli.progress import Progress, silent
 from hrt_cli.raster.classes import ClassRaster, open_classes
-from hrt_cli.raster.gate import open_raster
 from hrt_cli.raster.grid import Grid
+from hrt_cli.raster.heights import open_heights
 from hrt_cli.raster.track import track_on
 from hrt_cli.raster.windows import blocks
 
 STAGE = "feedback"
-STAGE_VERSION = 2
+STAGE_VERSION = 3
 _SCAN_PX = 2048
 
 
@@ -202,7 +202,7 @@ def _ease(dsm_path: Path | None, grid: Grid, settings: FeedbackSettings) -> Iter
     if dsm_path is None:
         yield None
         return
-    with open_raster(dsm_path) as dsm:
+    with open_heights(dsm_path) as dsm:
         if dsm.count != 1:
             raise InputError(dsm_path, f"has {dsm.count} bands; a surface model has one: heights in metres")
         terrain = Terrain(dsm, grid)

@@ -12,10 +12,11 @@ from scipy import ndimage
 
 from hrt_cli.drivability.cells import Cover
 from hrt_cli.drivability.interest import Interest, degree, open_interest, values_on, weighed
-from hrt_cli.drivability.surface import SHOWN_M, Ground, Relief, ground_of, open_surface
+from hrt_cli.drivability.surface import SHOWN_M, Ground, Relief, ground_of
 from hrt_cli.drivability.thermal import Units, in_celsius, settle
 from hrt_cli.errors import InputError
 from hrt_cli.raster.gate import Raster, open_raster
+from hrt_cli.raster.heights import open_heights
 from hrt_cli.raster.scoremap import Scoremap
 
 _OF_INTEREST = ("interest_range", "interest_cells")
@@ -48,7 +49,7 @@ def surface_files(relief: Relief) -> tuple[dict[str, Path], float]:
     InputError
         It cannot be used.
     """
-    with open_surface(relief.path) as raster:
+    with open_heights(relief.path) as raster:
         return sources(raster, "dsm"), max(raster.grid.pixel_m)
 
 
@@ -60,7 +61,7 @@ def relief_on(relief: Relief, covered: Cover, cell_m: float) -> Ground:
     InputError
         As `ground_of`; or no height is known in any cell that has a class.
     """
-    with open_surface(relief.path) as raster:
+    with open_heights(relief.path) as raster:
         ground = ground_of(raster, covered.grid, cell_m)
     if not (ground.known & covered.seen).any():
         raise InputError(relief.path, "tells the height of no cell that has a class")

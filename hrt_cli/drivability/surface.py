@@ -8,9 +8,6 @@ those of the worst place in it.
 from __future__ import annotations
 
 import math
-import re
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -18,13 +15,13 @@ from typing import Any
 import numpy as np
 from affine import Affine
 from numpy.typing import NDArray
-from rasterio.enums import ColorInterp
 
 from hrt_cli.drivability.relief import eased, gradient, greatest_in_cells, ruggedness, slope
 from hrt_cli.errors import ArgumentError, InputError
 from hrt_cli.raster.align import MAX_PX, field_on, window_or_none
-from hrt_cli.raster.gate import Raster, open_raster
+from hrt_cli.raster.gate import Raster
 from hrt_cli.raster.grid import Grid
+from hrt_cli.raster.heights import VOID, in_metres
 from hrt_cli.raster.windows import Window, blocks
 
 Values = NDArray[np.float32]
@@ -42,20 +39,6 @@ _ABOUT = 1.02
 """Pixels of 0.25 m in the map's own metres may be this much larger on the ground."""
 _FEW_PX = 4
 """Along a point of fewer pixels, shares of whole ones would put its height beside its place."""
-
-VOID = (-9999.0, -10000.0, -32767.0, -32768.0, float(np.finfo(np.float32).min))
-"""What OpenDroneMap, Pix4D and others write where there is no height, also where they do not declare it."""
-
-_FOOT_M, _US_FOOT_M = 0.3048, 1200 / 3937
-_UNITS_M = {
-    **dict.fromkeys(("m", "metre", "metres", "meter", "meters"), 1.0),
-    **dict.fromkeys(("cm", "centimetre", "centimeter"), 0.01),
-    **dict.fromkeys(("mm", "millimetre", "millimeter"), 0.001),
-    **dict.fromkeys(("ft", "foot", "feet", "international foot"), _FOOT_M),
-    **dict.fromkeys(("us-ft", "ftus", "us survey foot", "us survey feet", "foot_us", "survey foot"), _US_FOOT_M),
-}
-_VERTICAL = re.compile(r"\bVERTCRS\[")
-_LENGTH_UNIT = re.compile(r'\bLENGTHUNIT\["[^"]*",([0-9.eE+-]+)')
 
 
 @dataclass(frozen=True)
@@ -114,60 +97,13 @@ class Ground:
         return eased(slope_deg, rugosity, relief.slope_limit_deg, relief.rugosity_limit)
 
 
-@contextmanager
-def open_surface(path: Path) -> Iterator[Raster]:
-    """Open a surface or terrain model through the gate.
-
-    Raises
-    ------
-    InputError
-        As `open_raster`, and where it has several bands or its unit of height is not known.
-    """
-    with open_raster(path) as raster:
-        alpha = raster.count == 2 and raster.colours[1] == ColorInterp.alpha
-        if raster.count != 1 and not alpha:
-            raise InputError(path, f"has {raster.count} bands; a surface model has one: heights")
-        height_unit_m(raster)
-        yield raster
-
-
-def height_unit_m(raster: Raster) -> float:
-    """Return how many metres one unit of height is: by the band's unit tag, else the vertical CRS, else 1.
-
-    Raises
-    ------
-    InputError
-        The tag names no known unit of length, or another one than the CRS.
-    """
-    tag = raster.units[0].strip().lower()
-    by_tag = _UNITS_M.get(tag)
-    if tag and by_tag is None:
-        raise InputError(raster.path, f"has heights in {tag!r}, no unit of length known here", "convert it to metres")
-    by_crs = _vertical_unit_m(raster.grid)
-    if by_tag is not None and by_crs is not None and not math.isclose(by_tag, by_crs, rel_tol=1e-4):
-        raise InputError(
-            raster.path,
-            f"says that its heights are in {tag!r}, while a unit of its vertical CRS is {by_crs:g} m",
-            "correct one of them, as with gdal_edit -a_srs",
-        )
-    return by_tag or by_crs or 1.0
-
-
-def _vertical_unit_m(grid: Grid) -> float | None:
-    text = grid.crs.to_wkt(version="WKT2_2019") if grid.crs is not None else ""
-    found = _VERTICAL.search(text)
-    # A VERTCRS ends the text of a compound CRS, its unit stands at its end.
-    units = _LENGTH_UNIT.findall(text, found.end()) if found else []
-    return float(units[-1]) if units else None
-
-
 def ground_of(raster: Raster, grid: Grid, cell_m: float) -> Ground:
     """Return slope and ruggedness on the cells of a map.
 
     Parameters
     ----------
     raster : Raster
-        Of `open_surface`.
+        Of `open_heights`.
     grid : Grid
         The cells.
     cell_m : float
@@ -213,7 +149,7 @@ def _block(raster: Raster, grid: Grid, block: Window, step: float) -> tuple[NDAr
         return np.full((rows, cols), np.nan), np.full((rows, cols), np.nan)
     row_m, col_m = (side * step for side in grid.pixel_m)
     heights = _heights(raster, part, max(row_m, col_m))
-    heights *= raster.scales[0] * height_unit_m(raster)  # the offset tilts nothing
+    heights = in_metres(raster, heights)
     by_row, by_col = gradient(heights, row_m, col_m)
     inside = slice(_HALO, -_HALO), slice(_HALO, -_HALO)
     return slope(by_row, by_col)[inside], ruggedness(by_row, by_col)[inside]

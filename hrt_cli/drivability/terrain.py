@@ -12,6 +12,7 @@ from hrt_cli.errors import InputError
 from hrt_cli.raster.align import field_on, part_of, window_on
 from hrt_cli.raster.gate import Raster
 from hrt_cli.raster.grid import Grid
+from hrt_cli.raster.heights import VOID, in_metres
 from hrt_cli.raster.tiles import Tiles
 from hrt_cli.raster.windows import Window
 
@@ -25,12 +26,12 @@ _PLANE = np.stack([*(a.ravel() for a in np.meshgrid(_ALONG, _ALONG, indexing="ij
 
 
 class Terrain:
-    """Heights of a surface model (in metres) around places on another raster.
+    """Heights of a surface model around places on another raster.
 
     Parameters
     ----------
     dsm : Raster
-        Open; of any resolution, extent and CRS.
+        Of `open_heights`; of any resolution, extent and CRS.
     grid : Grid
         The raster that places are given on.
     """
@@ -68,4 +69,4 @@ class Terrain:
             window_on(self._dsm.path, self._dsm.grid, part)
         except InputError:
             return np.full((window.height, window.width), np.nan, np.float32)  # the model ends before it
-        return field_on(self._dsm, part, "average" if self._fine else "bilinear")
+        return in_metres(self._dsm, field_on(self._dsm, part, "average" if self._fine else "bilinear", void=VOID))

@@ -20,8 +20,8 @@ from hrt_cli.artifacts.world import TrueClass, WorldDocument, read_world
 from hrt_cli.errors import InputError
 from hrt_cli.raster.align import field_on, part_of, warp_onto, window_on
 from hrt_cli.raster.classes import open_classes
-from hrt_cli.raster.gate import open_raster
 from hrt_cli.raster.grid import Grid
+from hrt_cli.raster.heights import VOID, in_metres, open_heights
 from hrt_cli.raster.image import open_orthomosaic
 from hrt_cli.world.terrain import bare_ground, clearance, fill, rise, slope
 
@@ -158,8 +158,9 @@ def load_site(folder: Path, pixel_m: float | None = None) -> Site:
     """
     files = site_files(folder)
     grid, pixel, rgb, coloured = _picture(files["ortho"], pixel_m)
-    with open_raster(files["dsm"]) as dsm:
-        surface = field_on(dsm, grid, "bilinear" if max(dsm.grid.pixel_m) > pixel else "average")
+    with open_heights(files["dsm"]) as dsm:
+        heights = field_on(dsm, grid, "bilinear" if max(dsm.grid.pixel_m) > pixel else "average", void=VOID)
+        surface = in_metres(dsm, heights).astype(np.float32)
     measured = np.isfinite(surface)
     if not measured.any():
         raise InputError(files["dsm"], "holds no height on the orthomosaic")

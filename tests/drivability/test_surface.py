@@ -13,9 +13,10 @@ from raster_files import ORIGIN, UTM33, write_raster
 from rasterio.crs import CRS
 
 from hrt_cli.drivability import surface
-from hrt_cli.drivability.surface import Ground, Relief, ground_of, height_unit_m, open_surface
+from hrt_cli.drivability.surface import Ground, Relief, ground_of
 from hrt_cli.errors import ArgumentError, InputError
 from hrt_cli.raster.grid import Grid
+from hrt_cli.raster.heights import height_unit_m, open_heights
 
 pytestmark = pytest.mark.filterwarnings("ignore:Use `@` matmul:PendingDeprecationWarning")
 
@@ -41,7 +42,7 @@ def ramp(path: Path, pixel: float = 0.1, grid: Affine | None = None, edit: Any =
 
 
 def ground(path: Path, cells: Grid = CELLS, cell_m: float = 1.0) -> Ground:
-    with open_surface(path) as raster:
+    with open_heights(path) as raster:
         return ground_of(raster, cells, cell_m)
 
 
@@ -97,7 +98,7 @@ def test_the_unit_tag_counts(tmp_path: Path, unit: str, metres: float) -> None:
 @pytest.mark.parametrize(("code", "metres"), [("EPSG:32633+5703", 1.0), ("EPSG:32633+6360", 1200 / 3937)])
 def test_the_unit_of_a_vertical_crs_counts(tmp_path: Path, code: str, metres: float) -> None:
     path = ramp(tmp_path / "d.tif", edit=lambda z: z / metres, crs=code)
-    with open_surface(path) as raster:
+    with open_heights(path) as raster:
         assert height_unit_m(raster) == pytest.approx(metres)
     np.testing.assert_allclose(ground(path).slope_deg, STEEP, atol=0.05)
 

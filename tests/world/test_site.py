@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import rasterio
 from affine import Affine
 from pyproj import Geod, Transformer
 from raster_files import UTM33, write_raster
@@ -127,6 +128,22 @@ def test_tall_things_are_obstacles_and_slopes_slow_down(tmp_path: Path, climb: f
     middle = steep.speed_factor[40:110, 60:90]
     assert np.median(middle) == pytest.approx((STEEPEST - 0.58) / (STEEPEST - SLIPS_FROM), abs=0.02)
     assert (site.ground_m <= site.surface_m + 1e-6).all()
+
+
+def test_heights_in_feet_and_voids_that_nothing_declares_are_what_they_are(tmp_path: Path) -> None:
+    _row, col = np.mgrid[:80, :80]
+    surface = (0.3 * 0.1 * col).astype(np.float32)
+    surface[30:40, 30:40] += np.float32(1.0)
+    site = load_site(put_world(tmp_path / "metres", surface))
+    feet = put_world(tmp_path / "feet", surface / np.float32(0.3048))
+    with rasterio.open(feet / "dsm.tif", "r+") as dataset:
+        dataset.units = ("ft",)
+    np.testing.assert_allclose(load_site(feet).surface_m, site.surface_m, atol=1e-4)
+    np.testing.assert_array_equal(load_site(feet).obstacle, site.obstacle)
+    surface[:10] = -9999.0
+    with_void = load_site(put_world(tmp_path / "void", surface))
+    assert not with_void.seen[:10].any()
+    assert with_void.surface_m.min() > -1
 
 
 @pytest.mark.parametrize("pixel_m", [0.05, 0.1])
