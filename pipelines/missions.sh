@@ -15,11 +15,13 @@ wildfire() {
   hrt plan "$out/flat.tif" -o "$out/scout-plan.json" --start auto --budget 4min --seed 1
   hrt drive "$out/scout-plan.json" --world "$out/site" -o "$out/scout.jsonl"
   hrt feedback "$out/scout.jsonl" --classes "$out/classes.tif" -o "$out/scores.json" --dsm "$out/site/dsm.tif"
-  # Then heat counts: nothing below 45 degrees Celsius, all of it from 90 on; a little goes for good ground.
+  # Then only heat counts: nothing below 45 degrees Celsius, all of it from 90 on. It is seen from 2 m, so that each spot
+  # counts at one cell. The heights tell what is too steep or too rough, also where a class does not.
   hrt scoremap "$out/classes.tif" -o "$out/scoremap.tif" --scores "$out/scores.json" --no-go-below 0.2 \
-    --no-go-share 0.3 --interest "$out/site/thermal.tif" --interest-range 45,90 --interest-weight 0.97 \
+    --no-go-share 0.3 --dsm "$out/site/dsm.tif" --interest "$out/site/thermal.tif" --thermal-units auto \
+    --interest-range 45,90 --interest-radius 2 \
     --figure "$out/scoremap.png" --backdrop "$out/site/ortho.tif"
-  hrt plan "$out/scoremap.tif" -o "$out/plan.json" --visited "$out/scout.jsonl" --budget 400m \
+  hrt plan "$out/scoremap.tif" -o "$out/plan.json" --visited "$out/scout.jsonl" --budget 300m \
     --figure "$out/plan.png" --backdrop "$out/site/ortho.tif"
   hrt export "$out/plan.json" --format qgc -o "$out/mission.plan"
   hrt drive "$out/plan.json" --world "$out/site" -o "$out/drive.jsonl" --local expert --after "$out/scout.jsonl"

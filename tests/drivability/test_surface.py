@@ -15,6 +15,7 @@ from rasterio.crs import CRS
 from hrt_cli.drivability import surface
 from hrt_cli.drivability.surface import Ground, Relief, ground_of
 from hrt_cli.errors import ArgumentError, InputError
+from hrt_cli.raster.gate import open_raster
 from hrt_cli.raster.grid import Grid
 from hrt_cli.raster.heights import height_unit_m, open_heights
 
@@ -198,3 +199,20 @@ def test_what_is_no_surface_model_of_the_place_is_refused(tmp_path: Path) -> Non
 def test_limits_that_are_none_are_refused(limits: tuple[float, float]) -> None:
     with pytest.raises(ArgumentError, match="limit"):
         Relief(Path("d.tif"), *limits)
+
+
+BRIGHTON = Path(__file__).parents[2].parent / "shared" / "data" / "brighton_beach"
+
+
+@pytest.mark.real
+@pytest.mark.skipif(not BRIGHTON.exists(), reason="the site of Brighton Beach is not here")
+def test_on_a_surveyed_site_what_stands_on_the_ground_is_no_go_and_road_and_lawn_are_not() -> None:
+    with open_raster(BRIGHTON / "ortho_3cm.tif") as ortho:
+        cells = ortho.grid.coarse(1.0)
+    found = ground(BRIGHTON / "dsm_5cm.tif", cells)
+    eased = found.ease(Relief(BRIGHTON / "dsm_5cm.tif"))
+    # Metres south and east of the corner, read off the orthomosaic.
+    for what, south, east in (("car", 53, 90), ("pavilion", 73, 48), ("car", 71, 61), ("bush", 60, 25)):
+        assert eased[south - 2 : south + 3, east - 2 : east + 3].min() < 0.01, what
+    for what, south, east in (("road", 46, 57), ("lawn", 62, 38), ("lawn", 70, 30)):
+        assert (eased[south - 2 : south + 3, east - 2 : east + 3] > 0.6).all(), what
