@@ -11,7 +11,7 @@ echo
 hrt evaluate plan "$demo/out/scoremap.tif" "$demo/out/plan.json" --figure "$demo/out/rewards.png" --overwrite
 echo
 echo "Pictures: $demo/out/classes.png $demo/out/scoremap.png $demo/out/plan.png $demo/out/rewards.png"
-echo "Missions: $demo/out/mission.plan (QGroundControl) mission.waypoints mission.gpx mission.geojson"
+echo "Missions: $demo/out/mission.plan (QGroundControl) mission.waypoints mission.gpx mission.kml mission.geojson mission.csv nav2/"
 classes=$(hrt evaluate segment "$demo/out/classes.tif" "$demo/site/truth.tif")
 plan=$(hrt evaluate plan "$demo/out/scoremap.tif" "$demo/out/plan.json" --no-planner | sed -n 1p)
 echo "Figures:  $classes; $plan"

@@ -66,7 +66,7 @@ define leg
 $1:
 	@mkdir -p $$@
 
-$1/scoremap.tif: $(out)/classes.tif $(learnt) $(limits) $(stamps)/rounds-scoremap $(call legs_before,$2) | $1
+$1/scoremap.tif: $(out)/classes.tif $(learnt) $(layers) $(stamps)/rounds-scoremap $(call legs_before,$2) | $1
 	$(HRT) scoremap $(out)/classes.tif -o $$@ $(cell_args) $(if $(learnt),--scores $(learnt)) --overwrite -q
 	@touch $$@
 

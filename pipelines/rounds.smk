@@ -98,7 +98,7 @@ rule leg_scoremap:
     input:
         classes=f"{OUT}/classes.tif",
         scores=lambda wildcards: learnt(wildcards.leg),
-        limits=LIMITS,
+        layers=LIMITS + LAYERS,
     output:
         "{leg}/scoremap.tif",
     params:

@@ -38,7 +38,8 @@ def make(folder: Path, *args: str) -> str:
 def test_make(project: Path) -> None:
     make(project)
     out = project / "out"
-    for name in ("classes.tif", "scoremap.tif", "plan.json", "mission.plan", "mission.gpx", "plan.png", "model.npz"):
+    names = ("classes.tif", "scoremap.tif", "plan.json", "mission.plan", "mission.gpx", "mission.kml", "nav2/path.yaml")
+    for name in (*names, "plan.png", "model.npz"):
         assert (out / name).stat().st_size > 0
     assert "Nothing to be done" in make(project)
     # A touched input with the same bytes: every stage finds itself up to date, and then make is at rest.
@@ -60,7 +61,8 @@ def test_snakemake(project: Path) -> None:
     command = ["snakemake", "--cores", "1", "--directory", str(project), "--snakefile", str(project / "Snakefile")]
     done = subprocess.run(command, env=ENV, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
-    assert (project / "out" / "mission.plan").stat().st_size > 0
+    for name in ("mission.plan", "mission.csv", "nav2/keepout_mask.pgm"):
+        assert (project / "out" / name).stat().st_size > 0
     again = subprocess.run(command, env=ENV, capture_output=True, text=True, check=True)
     assert "Nothing to be done" in again.stdout + again.stderr
 
@@ -92,6 +94,21 @@ def test_make_keeps_the_robot_within_its_limits(project: Path) -> None:
     assert "hrt scoremap" in again
     assert "hrt segment" not in again
     assert "--margin" not in make(project, "-n", "no_go_below=", "margin_m=0.5", "out/scoremap.tif")
+    make(project, *given, "tolerance_m=1", "out/mission.plan")
+    fence = json.loads((project / "out" / "mission.plan").read_text())["geoFence"]["polygons"]
+    assert [each["inclusion"] for each in fence] == [True, False, False]
+
+
+@pytest.mark.skipif(shutil.which("make") is None, reason="make is not installed")
+def test_make_lays_heights_and_heat_on_the_map(project: Path) -> None:
+    site = ROOT / "fixtures" / "wildfire"
+    for name in ("ortho", "dsm", "thermal"):
+        shutil.copy(site / f"{name}.tif", project / f"{name}.tif")
+    given = ["dsm=dsm.tif", "interest=thermal.tif", "interest_radius_m=2", "thermal_units=celsius"]
+    told = make(project, *given, "out/scoremap.tif")
+    assert "--dsm dsm.tif --interest thermal.tif --interest-radius 2 --thermal-units celsius" in " ".join(told.split())
+    (project / "dsm.tif").touch()
+    assert "hrt scoremap" in make(project, *given, "out/scoremap.tif")
 
 
 @pytest.mark.skipif(shutil.which("snakemake", path=ENV["PATH"]) is None, reason="snakemake is not installed")
