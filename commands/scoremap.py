@@ -19,6 +19,7 @@ Example:
   hrt synth site --scene meadow --size 40
   hrt segment site/ortho.tif -o site/classes.tif --classes 5
   hrt scoremap site/classes.tif -o site/scoremap.tif --cell 1.0
+  hrt scoremap site/classes.tif -o site/safe.tif --dsm site/dsm.tif
 """
 )
 @click.argument("classes", type=opt.PATH)

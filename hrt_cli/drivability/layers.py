@@ -15,6 +15,7 @@ from hrt_cli.drivability.interest import Interest, degree, open_interest, values
 from hrt_cli.drivability.surface import SHOWN_M, Ground, Relief, ground_of, open_surface
 from hrt_cli.drivability.thermal import Units, in_celsius, settle
 from hrt_cli.errors import InputError
+from hrt_cli.progress import Progress, silent
 from hrt_cli.raster.gate import Raster, open_raster
 from hrt_cli.raster.scoremap import Scoremap
 
@@ -52,7 +53,7 @@ def surface_files(relief: Relief) -> tuple[dict[str, Path], float]:
         return sources(raster, "dsm"), max(raster.grid.pixel_m)
 
 
-def relief_on(relief: Relief, covered: Cover, cell_m: float) -> Ground:
+def relief_on(relief: Relief, covered: Cover, cell_m: float, progress: Progress = silent) -> Ground:
     """Return slope and ruggedness of the cells.
 
     Raises
@@ -61,7 +62,7 @@ def relief_on(relief: Relief, covered: Cover, cell_m: float) -> Ground:
         As `ground_of`; or no height is known in any cell that has a class.
     """
     with open_surface(relief.path) as raster:
-        ground = ground_of(raster, covered.grid, cell_m)
+        ground = ground_of(raster, covered.grid, cell_m, progress)
     if not (ground.known & covered.seen).any():
         raise InputError(relief.path, "tells the height of no cell that has a class")
     return ground

@@ -155,7 +155,7 @@ def make_scoremap(
             covered = cover(classes.grid, classes.read, cell_m, progress)
         table = _scores_for(covered, scores, classes_path, scores_path, unknown_as_prior)
         unknown = [k for k in covered.classes if k not in scores]
-        ground = relief_on(relief, covered, cell_m) if relief else None
+        ground = relief_on(relief, covered, cell_m, progress) if relief else None
         ease = ground.ease(relief) if relief and ground else None
         score, sd = score_cells(covered, table, explore, no_go_below, no_go_share, margin_m, ease)
         if np.isnan(score).all():

@@ -22,6 +22,7 @@ from rasterio.enums import ColorInterp
 
 from hrt_cli.drivability.relief import eased, gradient, greatest_in_cells, ruggedness, slope
 from hrt_cli.errors import ArgumentError, InputError
+from hrt_cli.progress import Progress, silent
 from hrt_cli.raster.align import MAX_PX, field_on, window_or_none
 from hrt_cli.raster.gate import Raster, open_raster
 from hrt_cli.raster.grid import Grid
@@ -161,7 +162,7 @@ def _vertical_unit_m(grid: Grid) -> float | None:
     return float(units[-1]) if units else None
 
 
-def ground_of(raster: Raster, grid: Grid, cell_m: float) -> Ground:
+def ground_of(raster: Raster, grid: Grid, cell_m: float, progress: Progress = silent) -> Ground:
     """Return slope and ruggedness on the cells of a map.
 
     Parameters
@@ -192,6 +193,7 @@ def ground_of(raster: Raster, grid: Grid, cell_m: float) -> Ground:
             in_cells = greatest_in_cells(values, per_cell)
             spread = in_cells.repeat(per_point, axis=0).repeat(per_point, axis=1)
             onto[block.slices] = spread[: block.height, : block.width]
+        progress(block.row * grid.cols + block.height * (block.col + block.width), grid.rows * grid.cols)
     return found
 
 
