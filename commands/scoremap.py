@@ -20,6 +20,7 @@ Example:
   hrt segment site/ortho.tif -o site/classes.tif --classes 5
   hrt scoremap site/classes.tif -o site/scoremap.tif --cell 1.0
   hrt scoremap site/classes.tif -o site/inside.tif --cell 0.5 --aoi site/aoi.geojson --margin 1
+  hrt scoremap site/classes.tif -o site/safe.tif --dsm site/dsm.tif
 """
 )
 @click.argument("classes", type=opt.PATH)

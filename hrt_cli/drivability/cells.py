@@ -99,6 +99,16 @@ def cover(fine: Grid, read: ReadClasses, cell_m: float, progress: Progress = sil
     return Cover(counts, step_row * step_col, grid)
 
 
+@dataclass(frozen=True)
+class Rule:
+    """How classes become the score of a cell: what `score_cells` takes beside them and the ground's relief."""
+
+    explore: float = 0.0
+    no_go_below: float | None = None
+    no_go_share: float = 1.0
+    margin_m: float = 0.0
+
+
 def score_cells(
     covered: Cover,
     scores: dict[int, ClassScore],

@@ -13,11 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 from rasterio.enums import ColorInterp
 
-from hrt_cli.drivability.thermal import Asked
 from hrt_cli.errors import ArgumentError, InputError
 from hrt_cli.raster.align import Rule, field_on
 from hrt_cli.raster.gate import Raster, open_raster
 from hrt_cli.raster.grid import Grid
+from hrt_cli.raster.thermal import Asked
 
 Scores = NDArray[np.float32]
 

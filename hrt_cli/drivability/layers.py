@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -13,11 +14,12 @@ from scipy import ndimage
 from hrt_cli.drivability.cells import Cover
 from hrt_cli.drivability.interest import Interest, degree, open_interest, values_on, weighed
 from hrt_cli.drivability.surface import SHOWN_M, Ground, Relief, ground_of
-from hrt_cli.drivability.thermal import Units, in_celsius, settle
 from hrt_cli.errors import InputError
+from hrt_cli.progress import Progress, silent
 from hrt_cli.raster.gate import Raster, open_raster
 from hrt_cli.raster.heights import open_heights
 from hrt_cli.raster.scoremap import Scoremap
+from hrt_cli.raster.thermal import Units, in_celsius, settle
 
 _OF_INTEREST = ("interest_range", "interest_cells")
 _OF_RELIEF = ("steep_cells", "rough_cells", "terrain_unknown_share")
@@ -28,32 +30,60 @@ def sources(raster: Raster, role: str) -> dict[str, Path]:
     return {name.replace("raster", role, 1): path for name, path in raster.sources().items()}
 
 
-def interest_files(interest: Interest) -> tuple[dict[str, Path], Units | None, list[str]]:
-    """Return the files of a raster of interest by role, the unit that it is to be read in, and notes on that.
+@dataclass(frozen=True)
+class Layers:
+    """The rasters beside the classes, looked at before anything is made of them.
+
+    Attributes
+    ----------
+    interest : Interest or None
+    relief : Relief or None
+    files : dict of str to Path
+        Their files by role.
+    units : str or None
+        What the temperatures of interest are read in.
+    pixel_m : float
+        Side of the surface model's pixels.
+    notes : list of str
+        What the user ought to know of the unit.
+    """
+
+    interest: Interest | None
+    relief: Relief | None
+    files: dict[str, Path]
+    units: Units | None
+    pixel_m: float
+    notes: list[str]
+
+    @property
+    def parameters(self) -> dict[str, Any]:
+        """What goes into the fingerprint beside the files."""
+        found = {"interest": self.interest, "relief": self.relief}
+        return {name: layer.parameters for name, layer in found.items() if layer is not None}
+
+
+def layers_of(interest: Interest | None, relief: Relief | None) -> Layers:
+    """Look at the rasters.
 
     Raises
     ------
     InputError
-        It cannot be used, or its unit is not as asked (see `thermal.settle`).
+        One of them cannot be used, or the unit of interest is not as asked (see `thermal.settle`).
     """
-    with open_interest(interest.path) as raster:
-        units, note = settle(raster, interest.units)
-        return sources(raster, "interest"), units, [note] if note else []
+    files: dict[str, Path] = {}
+    units, note, pixel_m = None, None, 0.0
+    if interest is not None:
+        with open_interest(interest.path) as raster:
+            units, note = settle(raster, interest.units)
+            files |= sources(raster, "interest")
+    if relief is not None:
+        with open_heights(relief.path) as raster:
+            files |= sources(raster, "dsm")
+            pixel_m = max(raster.grid.pixel_m)
+    return Layers(interest, relief, files, units, pixel_m, [note] if note else [])
 
 
-def surface_files(relief: Relief) -> tuple[dict[str, Path], float]:
-    """Return the files of a surface model by role, and the side of its pixels in metres.
-
-    Raises
-    ------
-    InputError
-        It cannot be used.
-    """
-    with open_heights(relief.path) as raster:
-        return sources(raster, "dsm"), max(raster.grid.pixel_m)
-
-
-def relief_on(relief: Relief, covered: Cover, cell_m: float) -> Ground:
+def relief_on(relief: Relief, covered: Cover, cell_m: float, progress: Progress = silent) -> Ground:
     """Return slope and ruggedness of the cells.
 
     Raises
@@ -62,7 +92,7 @@ def relief_on(relief: Relief, covered: Cover, cell_m: float) -> Ground:
         As `ground_of`; or no height is known in any cell that has a class.
     """
     with open_heights(relief.path) as raster:
-        ground = ground_of(raster, covered.grid, cell_m)
+        ground = ground_of(raster, covered.grid, cell_m, progress)
     if not (ground.known & covered.seen).any():
         raise InputError(relief.path, "tells the height of no cell that has a class")
     return ground
@@ -77,14 +107,17 @@ def relief_tags(relief: Relief, ground: Ground, covered: Cover, go: NDArray[np.b
     }
 
 
-def relief_notes(relief: Relief, cell_m: float, pixel_m: float, unknown_share: float) -> list[str]:
-    """Return what the user ought to know of a surface model with pixels of `pixel_m`."""
+def relief_notes(layers: Layers, cell_m: float, told: dict[str, Any]) -> list[str]:
+    """Return what the user ought to know of the surface model, if there is one; `told` as `told_by` returns it."""
+    if layers.relief is None:
+        return []
+    path, unknown_share = layers.relief.path, told["terrain_unknown_share"]
     notes = []
     if unknown_share > 0:
         percent = f"{unknown_share:.1%}" if unknown_share >= 0.001 else "less than 0.1%"
-        notes.append(f"{relief.path}: has no heights for {percent} of the cells to go, which count as level")
-    if pixel_m > min(cell_m, SHOWN_M) * (1 + 1e-3):
-        notes.append(f"{relief.path}: its pixels measure {pixel_m:.2g} m: obstacles smaller than that do not show")
+        notes.append(f"{path}: has no heights for {percent} of the cells to go, which count as level")
+    if layers.pixel_m > min(cell_m, SHOWN_M) * (1 + 1e-3):
+        notes.append(f"{path}: its pixels measure {layers.pixel_m:.2g} m: obstacles smaller than that do not show")
     return notes
 
 
@@ -116,7 +149,7 @@ def with_interest(scoremap: Scoremap, interest: Interest, units: Units | None) -
     return Scoremap(score, sd, scoremap.grid, scoremap.cell_size_m), tags
 
 
-def told_by(path: Path, interest: Interest | None, relief: Relief | None) -> dict[str, Any]:
+def told_by(path: Path, layers: Layers) -> dict[str, Any]:
     """Return what a scoremap of ours, made with these layers, was tagged with.
 
     Raises
@@ -124,7 +157,8 @@ def told_by(path: Path, interest: Interest | None, relief: Relief | None) -> dic
     InputError
         The tags are damaged.
     """
-    wanted = [*(_OF_INTEREST if interest else ()), *(_OF_RELIEF if relief else ())]
+    interest = layers.interest
+    wanted = [*(_OF_INTEREST if interest else ()), *(_OF_RELIEF if layers.relief else ())]
     if interest and interest.radius_m is not None:
         wanted.append("interest_out_of_reach")
     if interest and interest.units is not None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -11,18 +11,18 @@ import numpy as np
 
 from hrt_cli.artifacts.scores import PRIOR, ClassScore, read_scores
 from hrt_cli.artifacts.stage import REFUSE, Existing, begin
-from hrt_cli.drivability.cells import Cover, cover, score_cells
+from hrt_cli.drivability.cells import Cover, Rule, cover, score_cells
 from hrt_cli.drivability.interest import Interest
 from hrt_cli.drivability.layers import (
-    interest_files,
+    Layers,
+    layers_of,
     relief_notes,
     relief_on,
     relief_tags,
-    surface_files,
     told_by,
     with_interest,
 )
-from hrt_cli.drivability.limits import NO_LIMITS, Limits, place_limits, taken_by
+from hrt_cli.drivability.limits import NO_LIMITS, Limits, PlacedLimits, place_limits, taken_by
 from hrt_cli.drivability.surface import Relief
 from hrt_cli.errors import InputError
 from hrt_cli.progress import Progress, silent
@@ -127,31 +127,16 @@ def make_scoremap(
     """
     began = time.monotonic()
     creation = creation or {}
+    rule = Rule(explore, no_go_below, no_go_share, margin_m)
+    layers = layers_of(interest, relief)
     inputs = {"classes": classes_path} | ({"scores": scores_path} if scores_path else {})
-    parameters: dict[str, Any] = {
-        "cell_m": cell_m,
-        "explore": explore,
-        "no_go_below": no_go_below,
-        "creation": creation,
-    }
-    if no_go_share < 1.0:
-        parameters["no_go_share"] = no_go_share
-    if margin_m > 0.0:
-        parameters["margin_m"] = margin_m
-    if unknown_as_prior:
-        parameters["unknown_as_prior"] = True
-    inputs |= limits.files()
-    notes: list[str] = []
-    if interest:
-        files, units, notes = interest_files(interest)
-        inputs |= files
-        parameters["interest"] = interest.parameters
-    if relief:
-        files, pixel_m = surface_files(relief)
-        inputs |= files
-        parameters["relief"] = relief.parameters
     job = begin(
-        STAGE, STAGE_VERSION, inputs=inputs, parameters=parameters, outputs={output: cog_provenance}, existing=existing
+        STAGE,
+        STAGE_VERSION,
+        inputs=inputs | limits.files() | layers.files,
+        parameters=_parameters(cell_m, rule, unknown_as_prior, creation) | layers.parameters,
+        outputs={output: cog_provenance},
+        existing=existing,
     )
     scores = read_scores(scores_path) if scores_path else {}
     unknown: list[int] = []
@@ -164,25 +149,10 @@ def make_scoremap(
             covered = cover(classes.grid, classes.read, cell_m, progress)
         table = _scores_for(covered, scores, classes_path, scores_path, unknown_as_prior)
         unknown = [k for k in covered.classes if k not in scores]
-        ground = relief_on(relief, covered, cell_m) if relief else None
-        ease = ground.ease(relief) if relief and ground else None
-        score, sd = score_cells(covered, table, explore, no_go_below, no_go_share, margin_m, ease)
-        if np.isnan(score).all():
-            beyond = ", or steep or rough by --dsm" if relief else ""
-            what = f"gives no cell that may be entered: all are nodata or below --no-go-below{beyond}"
-            raise InputError(classes_path, what)
-        scoremap, tags = placed.bar(Scoremap(score, sd, covered.grid, cell_m), classes_path)
-        if relief and ground:
-            tags |= relief_tags(relief, ground, covered, np.isfinite(scoremap.score))
-        if interest:
-            scoremap, of_interest = with_interest(scoremap, interest, units)
-            tags |= of_interest
+        scoremap, tags = _scored(classes_path, covered, table, cell_m, rule, placed, layers, progress)
         publish_scoremap(output, scoremap, job.provenance, tags=tags, creation=creation)
     go = np.isfinite(scoremap.score)
-    told = told_by(output, interest, relief) | taken_by(limits, output)
-    notes += placed.notes
-    if relief:
-        notes += relief_notes(relief, cell_m, pixel_m, told["terrain_unknown_share"])
+    told = told_by(output, layers) | taken_by(limits, output)
     return ScoremapSummary(
         job.up_to_date,
         scoremap.grid.rows,
@@ -192,9 +162,59 @@ def make_scoremap(
         float(scoremap.score[go].mean(dtype=np.float64)),
         unknown,
         time.monotonic() - began,
-        notes=notes,
+        notes=[*layers.notes, *placed.notes, *relief_notes(layers, cell_m, told)],
         **told,
     )
+
+
+def _parameters(cell_m: float, rule: Rule, unknown_as_prior: bool, creation: dict[str, str]) -> dict[str, Any]:
+    """Return what goes into the fingerprint beside the inputs: options came later only where they are used."""
+    found: dict[str, Any] = {
+        "cell_m": cell_m,
+        "explore": rule.explore,
+        "no_go_below": rule.no_go_below,
+        "creation": creation,
+    }
+    if rule.no_go_share < 1.0:
+        found["no_go_share"] = rule.no_go_share
+    if rule.margin_m > 0.0:
+        found["margin_m"] = rule.margin_m
+    if unknown_as_prior:
+        found["unknown_as_prior"] = True
+    return found
+
+
+def _scored(
+    classes_path: Path,
+    covered: Cover,
+    table: dict[int, ClassScore],
+    cell_m: float,
+    rule: Rule,
+    placed: PlacedLimits,
+    layers: Layers,
+    progress: Progress,
+) -> tuple[Scoremap, dict[str, Any]]:
+    """Return the scoremap of the classes that cover the cells, and its tags.
+
+    Raises
+    ------
+    InputError
+        No cell may be entered, or a layer cannot be used.
+    """
+    ground = relief_on(layers.relief, covered, cell_m, progress) if layers.relief else None
+    ease = ground.ease(layers.relief) if layers.relief and ground else None
+    score, sd = score_cells(covered, table, **asdict(rule), ease=ease)
+    if np.isnan(score).all():
+        beyond = ", or steep or rough by --dsm" if layers.relief else ""
+        what = f"gives no cell that may be entered: all are nodata or below --no-go-below{beyond}"
+        raise InputError(classes_path, what)
+    scoremap, tags = placed.bar(Scoremap(score, sd, covered.grid, cell_m), classes_path)
+    if layers.relief and ground:
+        tags |= relief_tags(layers.relief, ground, covered, np.isfinite(scoremap.score))
+    if layers.interest:
+        scoremap, of_interest = with_interest(scoremap, layers.interest, layers.units)
+        tags |= of_interest
+    return scoremap, tags
 
 
 def _scores_for(

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from hrt_cli.drivability.relief import eased, gradient, greatest_in_cells, ruggedness, slope
 from hrt_cli.errors import ArgumentError, InputError
+from hrt_cli.progress import Progress, silent
 from hrt_cli.raster.align import MAX_PX, field_on, window_or_none
 from hrt_cli.raster.gate import Raster
 from hrt_cli.raster.grid import Grid
@@ -97,7 +98,7 @@ class Ground:
         return eased(slope_deg, rugosity, relief.slope_limit_deg, relief.rugosity_limit)
 
 
-def ground_of(raster: Raster, grid: Grid, cell_m: float) -> Ground:
+def ground_of(raster: Raster, grid: Grid, cell_m: float, progress: Progress = silent) -> Ground:
     """Return slope and ruggedness on the cells of a map.
 
     Parameters
@@ -128,6 +129,7 @@ def ground_of(raster: Raster, grid: Grid, cell_m: float) -> Ground:
             in_cells = greatest_in_cells(values, per_cell)
             spread = in_cells.repeat(per_point, axis=0).repeat(per_point, axis=1)
             onto[block.slices] = spread[: block.height, : block.width]
+        progress(block.row * grid.cols + block.height * (block.col + block.width), grid.rows * grid.cols)
     return found
 
 

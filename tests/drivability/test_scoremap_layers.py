@@ -102,6 +102,14 @@ class TestRelief:
         )
         assert any("has no heights for" in note and "count as level" in note for note in done.notes)
 
+    def test_the_share_without_heights_is_that_of_the_cells_to_go(self, site: Site) -> None:
+        done, found = site.make(relief=Relief(site.dsm()), no_go_below=0.6)
+        go = np.isfinite(found.score)
+        assert go[10:].sum() == 2 * COLS // 2
+        assert done.terrain_unknown_share == go[10:].sum() / go.sum()
+        share = f"{16 / go.sum():.1%} of the cells to go, which count as level"
+        assert done.notes == [f"{site.folder / 'dsm.tif'}: has no heights for {share}"]
+
     def test_the_limits_are_where_it_ends(self, site: Site) -> None:
         path = site.dsm(slope=0.3)
         slope = float(np.degrees(np.arctan(0.3)))

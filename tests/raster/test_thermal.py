@@ -13,9 +13,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from raster_files import PLACE, write_raster
 
-from hrt_cli.drivability.thermal import Guess, Readings, guess, in_celsius, readings, settle
 from hrt_cli.errors import InputError
 from hrt_cli.raster.gate import open_raster
+from hrt_cli.raster.thermal import Guess, Readings, guess, in_celsius, readings, settle
 
 
 def seen(dtype: str, *values: float, said: str = "", whole: bool = False) -> Readings:
