@@ -5,18 +5,17 @@ Facts about the programs: OpenDroneMap's sources (OdmOrthoPhoto.cpp, opendm/), P
 
 from __future__ import annotations
 
-import math
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from rasterio.crs import CRS
 
 from hrt_cli.raster.gate import Raster
 from hrt_cli.raster.grid import Grid
+from hrt_cli.raster.heights import VOID
 from hrt_cli.raster.mosaic import UNTEXTURED
-from hrt_cli.raster.recognise import MEASURED_NODATA, Kind, Maker, Sample, alpha_band, data_bands
+from hrt_cli.raster.recognise import Kind, Maker, Sample, alpha_band, data_bands
+from hrt_cli.raster.thermal import temperatures_in
 
 MODELS = ("surface model", "terrain model", "measured values")
 _COARSE_M = 0.25
@@ -145,25 +144,7 @@ def _thermal(raster: Raster, sample: Sample, kind: Kind, maker: Maker) -> list[s
         ]
     if pictured:
         return ["it is a picture of temperatures, not temperatures: hotter need not be brighter in it"]
-    described = f"{raster.descriptions[0]} {raster.units[0]}".lower()
-    if any(unit in described for unit in ("celsius", "degc", "kelvin")):
-        return []
-    return [f"nothing declares the unit of its values; {_guess(sample.valid(raster, data_bands(raster)[0]))}"]
-
-
-def _guess(values: NDArray[Any]) -> str:
-    """Say in which unit temperatures [n] seem to be."""
-    middle = float(np.median(values)) if values.size else math.nan
-    for low, high, unit, celsius in (
-        (-40, 150, "degrees Celsius", middle),
-        (200, 400, "Kelvin", middle - 273.15),
-        (20_000, 40_000, "hundredths of Kelvin", middle / 100 - 273.15),
-    ):
-        if low <= middle <= high:
-            return (
-                f"their median, {middle:.6g}, speaks for {unit} (then {celsius:.1f} degrees Celsius): make sure of it"
-            )
-    return f"their median, {middle:.6g}, is no temperature in degrees Celsius, Kelvin or hundredths of Kelvin"
+    return [temperatures_in(raster)]
 
 
 def _undeclared_nodata(raster: Raster, sample: Sample) -> list[str]:
@@ -172,12 +153,12 @@ def _undeclared_nodata(raster: Raster, sample: Sample) -> list[str]:
         if np.dtype(raster.dtypes[band - 1]).kind == "u":
             continue
         values = sample.valid(raster, band) if band in sample.bands else np.empty(0)
-        for value in MEASURED_NODATA:
+        for value in VOID:
             share = float((values == value).mean()) if values.size else 0.0
             if share > _FEW:
                 notes.append(
-                    f"{share:.1%} of band {band} is {value:g}, which nothing declares as nodata: hrt takes it for a "
-                    f"measurement; gdal_edit.py -a_nodata {value:g} declares it"
+                    f"{share:.1%} of band {band} is {value:g}, which nothing declares as nodata: none to hrt, a "
+                    f"measurement to other programs; gdal_edit.py -a_nodata {value:g} declares it"
                 )
     return notes
 
@@ -207,9 +188,9 @@ def _crs(raster: Raster, grid: Grid, crs: CRS, kind: Kind) -> list[str]:
             f"{row_m:.4g} m"
         )
         if kind.name in MODELS and not any(raster.units):
-            notes.append(f"its heights may be in {crs.linear_units} too; hrt expects metres")
+            notes.append(f"its heights may be in {crs.linear_units} too; hrt takes them for metres")
     if _is_compound(crs):
-        notes.append("its CRS is a compound one: hrt places it by the horizontal part, and takes heights as they are")
+        notes.append("its CRS is a compound one: hrt places it by the horizontal part, heights have the vertical unit")
     return notes
 
 
@@ -222,7 +203,7 @@ def _model(raster: Raster, grid: Grid | None) -> list[str]:
     band = data_bands(raster)[0]
     unit = raster.units[band - 1].lower()
     if any(name in unit for name in ("ft", "foot", "feet")):
-        notes.append(f"its heights are in {raster.units[band - 1]}; hrt expects metres: gdal_calc.py can convert them")
+        notes.append(f"its heights are in {raster.units[band - 1]}: hrt makes metres of them")
     if grid is not None and grid.crs is not None and max(grid.pixel_m) > _COARSE_M * _ABOUT:
         notes.append(
             f"its pixels are {max(grid.pixel_m):.3g} m: obstacles and steps smaller than that do not show in it"

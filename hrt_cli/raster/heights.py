@@ -17,7 +17,7 @@ from hrt_cli.raster.gate import Raster, open_raster
 from hrt_cli.raster.grid import Grid
 
 VOID = (-9999.0, -10000.0, -32767.0, -32768.0, float(np.finfo(np.float32).min))
-"""What OpenDroneMap, Pix4D and others write where there is no height, also where they do not declare it."""
+"""What programs write where they have no height or temperature, also where they do not declare it."""
 
 _FOOT_M, _US_FOOT_M = 0.3048, 1200 / 3937
 _UNITS_M = {

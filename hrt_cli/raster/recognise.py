@@ -14,6 +14,7 @@ from rasterio.enums import ColorInterp
 from hrt_cli.errors import InputError
 from hrt_cli.raster.cog import tagged_provenance
 from hrt_cli.raster.gate import Raster, is_nodata
+from hrt_cli.raster.heights import VOID
 from hrt_cli.raster.image import Image
 from hrt_cli.raster.windows import probe_windows
 
@@ -42,8 +43,6 @@ _UNITS: dict[str, Quantity] = {
     **dict.fromkeys(("ft", "foot", "feet", "us survey foot", "us-ft"), "surface model"),
     **dict.fromkeys(("degc", "°c", "celsius", "k", "kelvin", "degrees celsius"), "thermal orthomosaic"),
 }
-MEASURED_NODATA = (-9999.0, -10000.0, -32767.0, -32768.0, float(np.finfo(np.float32).min))
-"""What programs write into heights and temperatures where they have none, whether or not the file declares it."""
 _SMALL = 1.5
 """Reflectances and indices lie below it, heights and temperatures hardly ever do."""
 _CENTIKELVIN = (20_000, 40_000)
@@ -228,7 +227,7 @@ def require_picture(image: Image) -> list[str]:
         raise InputError(raster.path, f"looks like a {told[0]}, not a picture: {told[1]}, and {values}", remedy)
     if max(abs(low), abs(high)) <= _SMALL or dtype.kind == "u":
         return []
-    if nodata in MEASURED_NODATA:
+    if nodata in VOID:
         problem = f"looks like heights or temperatures, not a picture: {values}, nodata is {nodata:g}"
         raise InputError(raster.path, problem, remedy)
     return [f"{values}, taken as grey: heights belong to --dsm, temperatures to --interest"]
@@ -285,7 +284,7 @@ def _one_band(raster: Raster, band: int, sample: Sample) -> Kind:
     if dtype.kind == "f" and max(abs(low), abs(high)) <= _SMALL:
         return Kind("index map", "unclear", f"{found}: reflectance, an index or scores")
     empty = raster.nodata[band - 1]
-    beside = f", nodata {empty:g}" if empty in MEASURED_NODATA else ""
+    beside = f", nodata {empty:g}" if empty in VOID else ""
     return Kind("measured values", "unclear", f"{found}{beside}: heights or temperatures")
 
 

@@ -193,6 +193,20 @@ def settle(raster: Raster, asked: Asked | None) -> tuple[Units | None, str]:
     return found.units, f"{raster.path}: taken to be in {NAMES[found.units]}, for {found.why}: {as_celsius}"
 
 
+def temperatures_in(raster: Raster) -> str:
+    """Say for people in which unit a raster's temperatures are, or seem to be."""
+    seen = readings(raster)
+    if seen is None:
+        return "holds no temperature at all"
+    found = guess(seen)
+    if found.units is None:
+        return f"the unit of its temperatures is not known: {found.why}"
+    as_celsius = f"{NAMES[found.units]}, {_three(seen.celsius(found.units))} °C (least, median, most)"
+    if found.certain:
+        return f"temperatures in {as_celsius}: {found.why}"
+    return f"perhaps temperatures in {as_celsius}: {found.why}; --thermal-units {found.units} confirms it"
+
+
 def _contradiction(raster: Raster, seen: Readings, asked: Units) -> str:
     """Refuse a unit in which no ground is as warm; return a note where another one is certain."""
     if not seen.fits(asked):
