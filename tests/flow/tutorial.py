@@ -23,7 +23,7 @@ ENV |= {"COLUMNS": "120"}
 
 _BLOCK = re.compile(r"^```console\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 _NUMBER = re.compile(r"-?\d+(?:\.\d+)?(?:e[-+]\d+)?")
-_TIMES = re.compile(r"\b\d+(?:\.\d+)? (s\)|Mpx/s|s of planning|ms\b)")
+_TIMES = re.compile(r"(?<=classes in )[\d.]+(?= s)|(?<=\()[\d.]+(?= s\))")
 _FIRST_USE = "Note: compiling for this machine"
 NEARLY = 0.02
 
@@ -96,7 +96,7 @@ def written(text: str, printed: list[str]) -> str:
                 commands.append(f"{line}\n")
             elif line.startswith("> "):
                 commands[-1] += f"{line}\n"
-        return "```console\n" + "".join(each + _TIMES.sub(r"... \1", next(outputs)) for each in commands) + "```"
+        return "```console\n" + "".join(each + _TIMES.sub("...", next(outputs)) for each in commands) + "```"
 
     return _BLOCK.sub(block, text)
 
