@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 import pytest
 import shapely
-from area_files import FORMS, GRIDS, HALF_M, LOCAL, classes_on, drawn, moved, polygons
+import shapely.affinity
+from area_files import FORMS, GRIDS, HALF_M, LOCAL, classes_on, crs_of, drawn, moved, polygons
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from mission_readers import read_positions
@@ -28,20 +29,34 @@ from hrt_cli.raster.scoremap import read_scoremap
 pytestmark = pytest.mark.filterwarnings("ignore:Use `@` matmul:PendingDeprecationWarning")
 
 
-@pytest.mark.parametrize("grid", GRIDS)
-@settings(max_examples=8)
+def turned(shape: Any, turn_deg: int) -> Any:
+    return shapely.affinity.rotate(shape, turn_deg, origin=(0, 0))
+
+
+def wall_at(turn_deg: int) -> Any:
+    """A wall of 4 m through the middle."""
+    return turned(shapely.box(-2, -0.1, 2, 0.1), turn_deg)
+
+
+def sides_of(turn_deg: int) -> list[Any]:
+    return [turned(shapely.Point(0, y), turn_deg) for y in (1.5, -1.5)]
+
+
+@settings(max_examples=25)
 @given(
-    aoi=st.none() | polygons(2 * HALF_M),
-    keep_out=polygons(HALF_M / 2),
+    grid=st.sampled_from(sorted(GRIDS)),
+    aoi=st.none() | polygons(4 * HALF_M),
+    others=polygons(HALF_M / 3),
     forms=st.tuples(FORMS, FORMS),
-    tolerance_m=st.sampled_from([0.0, 1.0, 3.0]),
+    tolerance_m=st.sampled_from([2.0, 1.5, 3.0, 0.0]),
     spacing_m=st.sampled_from([None, 1.7]),
-    where=st.floats(0, 1, exclude_max=True),
+    turn_deg=st.integers(0, 359),
 )
 def test_no_mission_enters_a_keep_out_or_leaves_the_area(
-    grid: str, aoi: Any, keep_out: Any, forms: tuple[str, str], tolerance_m: float, spacing_m: float | None,
-    where: float,
+    grid: str, aoi: Any, others: Any, forms: tuple[str, str], tolerance_m: float, spacing_m: float | None,
+    turn_deg: int,
 ) -> None:  # fmt: skip
+    keep_out = shapely.union_all([others, wall_at(turn_deg)])
     with TemporaryDirectory() as name:
         folder = Path(name)
         within = drawn(folder, "aoi", aoi, forms[0]) if aoi else None
@@ -53,10 +68,16 @@ def test_no_mission_enters_a_keep_out_or_leaves_the_area(
             if not re.search("leaves nowhere to go|lies outside", str(error)):
                 raise
             return
-        go = np.argwhere(np.isfinite(read_scoremap(scoremap).score))
-        start = Start("cell", *map(int, go[int(where * len(go))]))
+        # From one side of the wall to the other, about its end: straight is within the tolerance.
+        found = read_scoremap(scoremap)
+        go = np.argwhere(np.isfinite(found.score))
+        x, y = found.grid.xy(go[:, 0] + 0.5, go[:, 1] + 0.5)
+        places = moved(shapely.points(x, y), crs_of(found.grid), LOCAL)
+        start, end = (
+            Start("cell", *map(int, go[shapely.distance(places, side).argmin()])) for side in sides_of(turn_deg)
+        )
         plan = folder / "plan.json"
-        plan_file(scoremap, plan, PlanRequest((start,), Spending(30, "steps"), effort=0.01, samples=4, or_stay=True))
+        plan_file(scoremap, plan, PlanRequest((start,), Spending(40, "steps"), ends=(end,), effort=0.01, samples=4))
         options = MissionOptions(tolerance_m=tolerance_m, spacing_m=spacing_m)
         for name, entry in FORMATS.items():
             path = folder / f"mission{entry.suffixes[0]}"
