@@ -18,7 +18,7 @@ from hrt_cli.logs.assemble import MEASURES
 from hrt_cli.logs.bag import topics_of
 from hrt_cli.logs.kinds import BAG, FOLDER, MCAP, SQLITE, files_of, kind_of
 from hrt_cli.logs.read import read_drive_log
-from hrt_cli.raster.grid import WGS84, Grid
+from hrt_cli.raster.grid import WGS84, Grid, wrapped_deg
 from hrt_cli.raster.track import no_place_on_a_map
 
 
@@ -110,5 +110,5 @@ def _bounds(log: DriveLog) -> list[float]:
     x = np.unwrap(log.place[:, 0], period=360.0) if log.geographic else log.place[:, 0]
     found = [x.min(), log.place[:, 1].min(), x.max(), log.place[:, 1].max()]
     if log.geographic:
-        found[::2] = [each if abs(each) <= 180 else (each + 180.0) % 360.0 - 180.0 for each in found[::2]]
+        found[::2] = [each if abs(each) <= 180 else float(wrapped_deg(each)) for each in found[::2]]
     return [float(each) for each in found]

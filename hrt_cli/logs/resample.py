@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from hrt_cli.raster.grid import wrapped_deg
+
 Floats = NDArray[np.float64]
 
 MEASURED_S = 2.0
@@ -30,7 +32,7 @@ def interpolated(when: Floats, time_s: Floats, values: Floats, *, angle: bool = 
     after = np.clip(np.searchsorted(time, when, side="left"), 0, time.size - 1)
     before = np.clip(np.searchsorted(time, when, side="right") - 1, 0, time.size - 1)
     found[time[after] - time[before] > MEASURED_S] = np.nan
-    return np.asarray((found + 180.0) % 360.0 - 180.0 if angle else found)
+    return wrapped_deg(found) if angle else np.asarray(found)
 
 
 def held(when: Floats, time_s: Floats, values: Floats) -> Floats:

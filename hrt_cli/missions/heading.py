@@ -9,7 +9,7 @@ from itertools import pairwise
 import numpy as np
 
 from hrt_cli.missions.mission import Mission
-from hrt_cli.raster.grid import metres_per_degree
+from hrt_cli.raster.grid import metres_per_degree, wrapped_deg
 
 _NO_WAY_M = 1e-6
 
@@ -22,7 +22,7 @@ def true_yaws_rad(mission: Mission) -> list[float]:
     legs = []
     for before, after in pairwise(mission.points):
         east_m, north_m = metres_per_degree(np.array([(before.lat_deg + after.lat_deg) / 2]))
-        across_deg = (after.lon_deg - before.lon_deg + 180.0) % 360.0 - 180.0  # at the meridian 180 too
+        across_deg = float(wrapped_deg(after.lon_deg - before.lon_deg))
         legs.append((across_deg * float(east_m[0]), (after.lat_deg - before.lat_deg) * float(north_m[0])))
     return _yaws(legs)
 

@@ -20,7 +20,7 @@ from hrt_cli.errors import ArgumentError
 from hrt_cli.missions.fence import NO_FENCE, Fence
 from hrt_cli.missions.local import FrameKind, LocalFrame
 from hrt_cli.missions.simplify import Bools, passed_by, simplified, visited
-from hrt_cli.raster.grid import WGS84, lonlat_length_m, transform_points
+from hrt_cli.raster.grid import WGS84, lonlat_length_m, transform_points, wrapped_deg
 
 Vehicle = Literal["rover", "boat", "submarine"]
 Firmware = Literal["ardupilot", "px4"]
@@ -319,10 +319,10 @@ def _stops(
             # The last bits of a length that is a whole number of spacings do not make one more.
             parts = max(1, math.ceil(_leg_m(plan, before, step) / options.spacing_m - _ROUNDING))
         (lon0, lat0), (lon1, lat1) = lonlat[before], lonlat[step]
-        across = (lon1 - lon0 + 180.0) % 360.0 - 180.0  # the short way round, at the meridian 180 too
+        across = float(wrapped_deg(lon1 - lon0))
         for part in range(1, parts):
             share = part / parts
-            lon = (lon0 + share * across + 180.0) % 360.0 - 180.0
+            lon = float(wrapped_deg(lon0 + share * across))
             stops.append(Stop(at(lon, lat0 + share * (lat1 - lat0)), None, None))
         stops.append(Stop(at(lon1, lat1), step, plan.cells[step]))
     return tuple(stops)

@@ -136,7 +136,7 @@ class Grid:
         # PROJ hands degrees through unchecked: metres labelled as degrees would come out as latitude 5 000 000.
         if np.abs(lat).max(initial=0.0) > 90.0 or np.abs(lon).max(initial=0.0) > 360.0:
             raise ValueError(_NO_PLACE)
-        return np.where(np.abs(lon) > 180.0, _wrapped(lon), lon), lat
+        return np.where(np.abs(lon) > 180.0, wrapped_deg(lon), lon), lat
 
     def xy_of_lonlat(self, lon: float, lat: float) -> tuple[float, float]:
         """Map coordinates of a WGS 84 position."""
@@ -210,7 +210,7 @@ class Grid:
         lon0, lat0 = self.lonlat(*self.xy(rows - dr, cols - dc))
         lon1, lat1 = self.lonlat(*self.xy(rows + dr, cols + dc))
         east, north = metres_per_degree((lat0 + lat1) / 2)
-        return np.stack([_wrapped(lon1 - lon0) * east, (lat1 - lat0) * north]) / (2 * half)
+        return np.stack([wrapped_deg(lon1 - lon0) * east, (lat1 - lat0) * north]) / (2 * half)
 
 
 def require_measurable(path: str | PathLike[str], grid: Grid) -> None:
@@ -288,16 +288,16 @@ def transform_points(source: CRS, target: CRS, x: ArrayLike, y: ArrayLike) -> tu
     return points[0], points[1]
 
 
-def _wrapped(degrees: Floats) -> Floats:
-    """Differences of longitude across the antimeridian, as the short way round."""
-    return np.asarray((degrees + 180.0) % 360.0 - 180.0)
+def wrapped_deg(degrees: ArrayLike) -> Floats:
+    """Return degrees in -180..180: a difference of longitudes as the short way round, at the meridian 180 too."""
+    return np.asarray((np.asarray(degrees, np.float64) + 180.0) % 360.0 - 180.0)
 
 
 def lonlat_length_m(lon_deg: ArrayLike, lat_deg: ArrayLike) -> Floats:
     """Ground metres [n - 1] of each leg of a path of WGS 84 positions [n], for legs of up to a few kilometres."""
     lon, lat = np.asarray(lon_deg, np.float64), np.asarray(lat_deg, np.float64)
     east, north = metres_per_degree((lat[1:] + lat[:-1]) / 2)
-    return np.asarray(np.hypot(_wrapped(np.diff(lon)) * east, np.diff(lat) * north))
+    return np.asarray(np.hypot(wrapped_deg(np.diff(lon)) * east, np.diff(lat) * north))
 
 
 def metres_per_degree(lat_deg: Floats) -> tuple[Floats, Floats]:

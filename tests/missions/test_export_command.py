@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 from typing import Any
 
@@ -15,11 +16,11 @@ from mission_samples import ADELAIDE, UTM_SOUTH, transform_at
 from nav2_reader import keepout_cost, load_graph, load_map
 from rasterio.crs import CRS
 
-from hrt_cli.artifacts.provenance import Provenance
+from hrt_cli.artifacts.provenance import InputRecord, Provenance, file_sha256
 from hrt_cli.main import cli
 from hrt_cli.missions.formats import FORMATS
 from hrt_cli.raster.grid import Grid
-from hrt_cli.raster.scoremap import Scoremap, publish_scoremap
+from hrt_cli.raster.scoremap import Scoremap, publish_scoremap, read_scoremap
 
 MADE = Provenance(
     tool="hrt", version="0", stage="scoremap", stage_version=1, parameters={}, inputs=[], fingerprint="0" * 64
@@ -179,3 +180,62 @@ def test_the_datum_moves_the_metres(site: Path, tmp_path: Path) -> None:
     assert np.ptp(second["y_m"] - first["y_m"]) < 0.01
     assert second["y_m"][0] > first["y_m"][0]
     assert np.array_equal(first["lat"], second["lat"])
+
+
+def test_legs_within_the_autopilot_s_radius_are_told(site: Path, tmp_path: Path) -> None:
+    near = hrt("export", site / "plan.json", "-o", tmp_path / "m.plan", "--spacing", 1)
+    assert "waypoints are as little as 1 m apart: set WP_RADIUS" in near.stderr
+    assert "WP_RADIUS" not in hrt("export", site / "plan.json", "-o", tmp_path / "m.gpx", "--spacing", 1).stderr
+    px4 = hrt("export", site / "plan.json", "-o", tmp_path / "p.plan", "--spacing", 1, "--firmware", "px4")
+    assert "WP_RADIUS" not in px4.stderr
+
+
+def test_cells_that_are_passed_beside_are_counted(site: Path, tmp_path: Path) -> None:
+    exact = run("export", site / "plan.json", "-o", tmp_path / "a.plan")
+    assert exact["passed_by"] == 0
+    done = hrt(
+        "export", site / "plan.json", "-o", tmp_path / "b.plan", "--tolerance", 4, "--scoremap", site / "map.tif"
+    )
+    assert re.search(r"Note: [1-9]\d* cells of the plan are passed within the tolerance, not entered", done.stderr)
+
+
+def test_too_many_items_are_refused_with_a_tolerance_that_makes_room(site: Path, tmp_path: Path) -> None:
+    words = ["export", site / "plan.json", "-o", tmp_path / "m.plan", "--scoremap", site / "map.tif"]
+    count = run(*words)["waypoints"] + 2
+    limit = count - 12
+    said = refusal(*words, "--overwrite", "--max-items", limit)
+    tolerance = re.search(r"--tolerance ([0-9.]+) makes (\d+) of them", said)
+    assert tolerance is not None, said
+    done = run(*words, "--overwrite", "--max-items", limit, "--tolerance", tolerance[1])
+    assert done["waypoints"] + 2 == int(tolerance[2]) <= limit
+
+
+def test_a_plan_that_enters_what_is_no_go_by_now_is_refused_unless_the_robot_stands_there(
+    site: Path, tmp_path: Path
+) -> None:
+    found = read_scoremap(site / "map.tif")
+    cells = json.loads((site / "plan.json").read_text())["cells"]
+    for cell, refused in ((cells[0], False), (cells[5], True)):
+        score = found.score.copy()
+        score[tuple(cell)] = np.nan
+        barred = tmp_path / f"barred-{refused}.tif"
+        publish_scoremap(barred, Scoremap(score, found.sd, found.grid, 2.0), MADE, tags={}, creation={})
+        words = ["export", site / "plan.json", "-o", tmp_path / f"{refused}.plan", "--scoremap", barred]
+        if refused:
+            assert f"enters cell {cell[0]},{cell[1]}, which is no-go" in refusal(*words)
+        else:
+            run(*words)
+
+
+def test_areas_that_the_map_was_made_with_are_missed(site: Path, tmp_path: Path) -> None:
+    lon, lat = ADELAIDE
+    ring = [[lon - 1, lat - 1], [lon + 1, lat - 1], [lon + 1, lat + 1], [lon - 1, lat + 1], [lon - 1, lat - 1]]
+    area = tmp_path / "area.geojson"
+    area.write_text(json.dumps({"type": "Polygon", "coordinates": [ring]}))
+    known = InputRecord(role="aoi", name="area.geojson", sha256=file_sha256(area), size=area.stat().st_size)
+    found = read_scoremap(site / "map.tif")
+    publish_scoremap(tmp_path / "m.tif", found, MADE.model_copy(update={"inputs": [known]}), tags={}, creation={})
+    words = ["export", site / "plan.json", "--scoremap", tmp_path / "m.tif", "-o"]
+    assert "made with area.geojson, which is not given" in hrt(*words, tmp_path / "a.plan").stderr
+    assert "not given" not in hrt(*words, tmp_path / "b.plan", "--aoi", area).stderr
+    assert "not given" not in hrt(*words, tmp_path / "c.kml").stderr
