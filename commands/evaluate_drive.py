@@ -59,7 +59,7 @@ def drive(
         console.note(f"Note: {note}")
     if figure is not None:
         from hrt_cli.logs.kinds import files_of
-        from hrt_cli.report.drives import draw_drives
+        from hrt_cli.report.figures.drives import draw_drives
         from hrt_cli.world.site import site_files
 
         inputs = {

@@ -76,7 +76,7 @@ def plan(
     from dataclasses import asdict
 
     from hrt_cli.evaluation.plans import Trials, evaluate_plans
-    from hrt_cli.report.rewards import begin_figure
+    from hrt_cli.report.figures.rewards import begin_figure
 
     if seeds is not None and starts is None:
         raise click.UsageError("--seeds repeats the runs from each of --starts: give both")

@@ -61,7 +61,7 @@ def segment(
         f"{'px' if unreferenced else 'm'})"
     )
     if figure is not None:
-        from hrt_cli.report.agreement import draw_agreement
+        from hrt_cli.report.figures.agreement import draw_agreement
 
         draw_agreement(classes, truth, figure, areas, line, unreferenced=unreferenced, existing=existing)
     console.result(

@@ -64,7 +64,7 @@ def steer(
             model, data, skip_bad=skip_bad, correction=correction, progress=progress, note=console.note
         )
     if figure is not None:
-        from hrt_cli.report.steering_figures import draw_steering
+        from hrt_cli.report.figures.steering import draw_steering
 
         inputs = {"model": model} | {f"labels/{index}": path for index, path in enumerate(found.files)}
         draw_steering(inputs, figure, found, digest=found.digest, caption=_line(found), existing=existing)

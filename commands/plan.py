@@ -156,7 +156,7 @@ def plan(
     for note in done.notes:
         console.note(f"Note: {note}")
     if figure is not None:
-        from hrt_cli.report.overlay import draw_plan
+        from hrt_cli.report.figures.maps import draw_plan
 
         draw_plan(output, scoremap, figure, backdrop=backdrop, existing=existing)
     found, waypoints = done.document, sum(len(each.waypoints) for each in done.robots)

@@ -188,7 +188,7 @@ def scoremap(
             progress=progress,
         )
     if figure is not None:
-        from hrt_cli.report.overlay import draw_scoremap
+        from hrt_cli.report.figures.maps import draw_scoremap
 
         draw_scoremap(output, figure, backdrop=backdrop, existing=existing)
     if done.unknown and scores_path is not None:

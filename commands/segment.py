@@ -116,7 +116,7 @@ def segment(
             progress=progress,
         )
     if figure is not None:
-        from hrt_cli.report.overlay import draw_classes
+        from hrt_cli.report.figures.maps import draw_classes
 
         backdrop = ortho[0] if len(ortho) == 1 and ortho[0].is_file() and not unreferenced else None
         draw_classes(output, figure, backdrop=backdrop, existing=existing)

@@ -110,7 +110,7 @@ def train_plan(
         raise click.UsageError("--family and --map-side are for generated maps, and SCOREMAPS are given")
     from hrt_cli.planning.train import TrainSpec
     from hrt_cli.planning.training import train_file
-    from hrt_cli.report.curve import check_curve_target, draw_curve
+    from hrt_cli.report.figures.curve import check_curve_target, draw_curve
 
     if curve is not None:
         check_curve_target(curve, [*scoremaps])

@@ -18,9 +18,9 @@ from hrt_cli.planning.request import PlanRequest, parse_budget, parse_start
 from hrt_cli.planning.stage import plan_file
 from hrt_cli.raster.grid import Grid
 from hrt_cli.raster.scoremap import Scoremap, publish_scoremap
-from hrt_cli.report.overlay import _extent, _place, _round_length, draw_plan, draw_scoremap
+from hrt_cli.report.figures.maps import _extent, _place, _round_length, draw_plan, draw_scoremap
 
-FIXTURE = Path(__file__).parents[2] / "fixtures" / "meadow" / "ortho.tif"
+FIXTURE = Path(__file__).parents[3] / "fixtures" / "meadow" / "ortho.tif"
 GRIDS = {
     "utm": Grid(300, 400, Affine(0.1, 0, 431_000, 0, -0.1, 5_210_000), CRS.from_epsg(32632)),
     "rotated": Grid(300, 400, Affine(0.08, 0.06, 431_000, 0.06, -0.08, 5_210_000), CRS.from_epsg(32632)),

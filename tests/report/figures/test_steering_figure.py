@@ -13,8 +13,8 @@ from matplotlib.figure import Figure
 from hrt_cli.artifacts.png import png_provenance
 from hrt_cli.artifacts.stage import REFUSE, Existing
 from hrt_cli.errors import OutputError
-from hrt_cli.report import steering_figures as module
-from hrt_cli.report.steering_figures import draw_steering
+from hrt_cli.report.figures import steering as module
+from hrt_cli.report.figures.steering import draw_steering
 
 
 @dataclass

@@ -12,7 +12,7 @@ from hrt_cli.artifacts.png import png_provenance
 from hrt_cli.artifacts.stage import REFUSE, Existing
 from hrt_cli.errors import InputError, OutputError
 from hrt_cli.evaluation.rewards import Curve, RewardChart
-from hrt_cli.report import rewards as drawn
+from hrt_cli.report.figures import rewards as drawn
 
 
 @pytest.fixture

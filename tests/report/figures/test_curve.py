@@ -20,7 +20,7 @@ from hrt_cli.artifacts.stage import REFUSE, Existing
 from hrt_cli.errors import HrtError, InputError, OutputError
 from hrt_cli.planning.families import FAMILIES
 from hrt_cli.planning.train import TrainSpec
-from hrt_cli.report.curve import _figure, draw_curve, smoothed
+from hrt_cli.report.figures.curve import _figure, draw_curve, smoothed
 
 COMMAND = shell.cli.get_command(click.Context(shell.cli), "train-plan")
 SMALL = ["--iterations", "4", "--maps-per-iteration", "2", "--rollouts", "2", "--budget", "12", "--json", "-q"]

@@ -17,7 +17,7 @@ from hrt_cli.errors import InputError, OutputError
 from hrt_cli.evaluation.segment import agreement, evaluate_segmentation
 from hrt_cli.raster.classes import open_classes
 from hrt_cli.raster.style import class_colour, rgb_of
-from hrt_cli.report import agreement as drawn
+from hrt_cli.report.figures import agreement as drawn
 
 Ids = NDArray[np.uint8]
 

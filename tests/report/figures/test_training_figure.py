@@ -11,7 +11,7 @@ import pytest
 from hrt_cli.artifacts.png import png_provenance
 from hrt_cli.artifacts.stage import REFUSE, Existing
 from hrt_cli.errors import OutputError
-from hrt_cli.report.steering_curve import draw_training, training_figure
+from hrt_cli.report.figures.steering_curve import draw_training, training_figure
 
 
 def columns(n: int) -> dict[str, np.ndarray]:

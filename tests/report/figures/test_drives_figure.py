@@ -12,8 +12,8 @@ from matplotlib.figure import Figure
 from hrt_cli.artifacts.png import png_provenance
 from hrt_cli.artifacts.stage import REFUSE, Existing
 from hrt_cli.errors import ArgumentError, OutputError
-from hrt_cli.report import drives as module
-from hrt_cli.report.drives import draw_drives
+from hrt_cli.report.figures import drives as module
+from hrt_cli.report.figures.drives import draw_drives
 
 CLEARANCE = np.array([0.0, 0.12, 0.3, 0.7, 1.2, 5.0])
 WEIGHT = np.array([1.0, 1.0, 2.0, 1.0, 1.0, 4.0])
