@@ -65,6 +65,10 @@ COMMANDS = {
         "Write a steering MODEL as ONNX, which robots run without PyTorch.",
     ),
     "evaluate": ("hrt_commands.evaluate:evaluate", "Measure a segmentation, plans, drives or a steering model."),
+    "report": (
+        "hrt_commands.report:report",
+        "Write one page of all that PATHS, files and folders, hold: maps, drives, charts, provenance.",
+    ),
     "verify": ("hrt_commands.verify:verify", "Check artifacts against the provenance they carry."),
 }
 """Subcommand -> (module:attribute, the first paragraph of its help, so that `hrt --help` imports none of them)."""

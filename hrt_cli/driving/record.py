@@ -41,6 +41,7 @@ class Recorder:
         self._album = Album(folder, setting.vehicle.kind, self._camera.lens)
         self._rng = np.random.default_rng([setting.seed, 0x0E])
         self._session, self._due_s = session, 0.0
+        self._times_s: list[float] = []
 
     def watch(self, time_s: float, known: Pose, true: Pose, command: Command) -> None:
         """Take a frame if one is due; where the expert sees no way on there is nothing to teach."""
@@ -57,7 +58,8 @@ class Recorder:
         frame = look(self._camera, self._setting.site, self._setting.vehicle, true, noise_seed=seed)
         lesson = Lesson(wanted.yaw, wanted.pitch, self._teacher.bearing_rad, costs, *others)
         self._album.add(frame.rgb, lesson, self._session)
+        self._times_s.append(round(time_s, 3))
 
     def finish(self, provenance: Provenance) -> int:
-        """Write the labels; return how many frames there are."""
-        return self._album.finish(provenance, session=self._session, every_s=EVERY_S)
+        """Write the labels, and when each frame was taken; return how many there are."""
+        return self._album.finish(provenance, session=self._session, every_s=EVERY_S, times_s=self._times_s)

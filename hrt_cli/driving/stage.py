@@ -33,7 +33,7 @@ from hrt_cli.raster.track import no_place_on_a_map
 from hrt_cli.world.site import Site, load_site, site_files
 
 STAGE = "drive"
-STAGE_VERSION = 10
+STAGE_VERSION = 11
 
 LOCAL_PLANNERS = ("pursuit", "expert", "teacher", "steer")
 

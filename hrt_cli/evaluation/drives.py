@@ -13,18 +13,16 @@ from rasterio.crs import CRS
 from rasterio.errors import CRSError
 
 from hrt_cli.artifacts.drivelog import DriveLog
-from hrt_cli.driving.lens import clear_camera, look
-from hrt_cli.driving.local import Pose
 from hrt_cli.driving.motion import bottom_clearance, sample
-from hrt_cli.driving.vehicle import VEHICLES, Vehicle
+from hrt_cli.driving.vehicle import Vehicle
 from hrt_cli.errors import ArgumentError, InputError
-from hrt_cli.evaluation.travel import metres_gone, travel_heading
+from hrt_cli.evaluation.travel import metres_gone
+from hrt_cli.evaluation.views import Poses, poses_on, seen_from, vehicle_of
 from hrt_cli.logs.read import log_notes, read_drive_log
 from hrt_cli.planning.resume import driven_cells
 from hrt_cli.progress import Progress, silent
 from hrt_cli.raster.grid import WGS84
 from hrt_cli.raster.scoremap import read_scoremap
-from hrt_cli.raster.track import track_on
 from hrt_cli.world.site import Site, load_site
 
 LOOK_EVERY_S = 1.0
@@ -34,7 +32,7 @@ STALLED = 0.1
 DRIVABLE = 0.3
 """Share of its speed that a robot holds on ground that counts as drivable."""
 _COMMANDED_M_S = 0.05
-_FARTHEST_M = 5.0
+FARTHEST_M = 5.0
 """Clearances are measured up to here."""
 
 
@@ -116,6 +114,7 @@ def evaluate_drives(
     logs: Sequence[Path],
     *,
     world: Path | None = None,
+    site: Site | None = None,
     scoremap: Path | None = None,
     target: str | None = None,
     progress: Progress = silent,
@@ -128,6 +127,8 @@ def evaluate_drives(
         Of one robot, in order.
     world : Path, optional
         The site's folder, for clearances and what was in view.
+    site : Site, optional
+        That site, where it is loaded already.
     scoremap : Path, optional
         For the score collected.
     target : str, optional
@@ -140,7 +141,8 @@ def evaluate_drives(
     ArgumentError
         The target is no class of the world, or there is a target and no world.
     """
-    site = load_site(world) if world is not None else None
+    if site is None and world is not None:
+        site = load_site(world)
     if site is None and target is not None:
         raise ArgumentError("--target needs a --world to look at")
     number = None if site is None or world is None else _target(site, target, world)
@@ -178,9 +180,8 @@ def _measure(path: Path, site: Site | None, target: int | None, score: float | N
     weight_s = np.append(step_s, 0.0) / 2 + np.append(0.0, step_s) / 2
     clearance, on_drivable, view = np.zeros(0), None, []
     if site is not None:
-        kind = log.robot.kind if log.robot is not None else "auv" if site.under_water else "ugv"
-        vehicle = VEHICLES[kind]
-        poses = _poses(path, log, site)
+        vehicle = vehicle_of(log, site)
+        poses = poses_on(path, log, site)
         clearance = _clearances(site, poses, log, vehicle)
         known = ~np.isnan(clearance)
         clearance, weight_s = clearance[known], weight_s[known]
@@ -239,40 +240,19 @@ def _stalled(log: DriveLog) -> float | None:
     return float(np.diff(log.time_s)[told & stands & _driven(log)].sum())
 
 
-@dataclass(frozen=True)
-class _Poses:
-    """Places on the site [n, 2], heights [n] (NaN: not known), headings and pitches in radians [n]."""
-
-    place: NDArray[np.float64]
-    height_m: NDArray[np.float64]
-    heading_rad: NDArray[np.float64]
-    pitch_rad: NDArray[np.float64]
-
-
-def _poses(path: Path, log: DriveLog, site: Site) -> _Poses:
-    rows, cols = track_on(path, log, site.grid, "world")
-    if not ((rows >= 0) & (rows <= site.grid.rows) & (cols >= 0) & (cols <= site.grid.cols)).any():
-        raise InputError(path, "lies wholly off the world")
-    place = np.stack([cols, rows], axis=1) * site.pixel_m
-    heading = np.radians(log.heading_deg) - site.up_bearing_rad
-    unknown = np.isnan(heading)
-    heading[unknown] = travel_heading(place)[unknown]
-    return _Poses(place, -log.depth_m, heading, np.radians(np.nan_to_num(log.pitch_deg)))
-
-
-def _clearances(site: Site, poses: _Poses, log: DriveLog, vehicle: Vehicle) -> NDArray[np.float64]:
+def _clearances(site: Site, poses: Poses, log: DriveLog, vehicle: Vehicle) -> NDArray[np.float64]:
     radius = log.robot.radius_m if log.robot is not None else vehicle.radius_m
-    reach = _FARTHEST_M + radius
+    reach = FARTHEST_M + radius
     room = np.full(len(poses.place), np.nan)
     for k, (east, south) in enumerate(poses.place):
         if vehicle.kind == "ugv":
             room[k] = min(sample(site.clearance_m, site.pixel_m, east, south), reach)
         elif not math.isnan(poses.height_m[k]):
             room[k] = bottom_clearance(site.surface_m, site.pixel_m, east, south, poses.height_m[k], reach)
-    return np.clip(room - radius, 0.0, _FARTHEST_M)
+    return np.clip(room - radius, 0.0, FARTHEST_M)
 
 
-def _on_drivable(site: Site, poses: _Poses, gone_m: NDArray[np.float64]) -> float | None:
+def _on_drivable(site: Site, poses: Poses, gone_m: NDArray[np.float64]) -> float | None:
     cols, rows = np.floor(poses.place / site.pixel_m).astype(np.int64).T
     inside = (rows >= 0) & (rows < site.grid.rows) & (cols >= 0) & (cols < site.grid.cols)
     good = np.zeros(len(rows), np.float64)
@@ -282,23 +262,16 @@ def _on_drivable(site: Site, poses: _Poses, gone_m: NDArray[np.float64]) -> floa
 
 
 def _views(
-    site: Site, poses: _Poses, log: DriveLog, vehicle: Vehicle, target: int, gone_m: NDArray[np.float64]
+    site: Site, poses: Poses, log: DriveLog, vehicle: Vehicle, target: int, gone_m: NDArray[np.float64]
 ) -> list[tuple[float, float]]:
     """Return metres driven and the share of the picture that the target covers, for a frame every second."""
-    camera = clear_camera(site, vehicle)
-    views = []
-    due = -math.inf
+    due, at = -math.inf, []
     for k, now in enumerate(log.time_s):
-        if now < due:
-            continue
-        due = now + LOOK_EVERY_S
-        east, south = poses.place[k]
-        height = poses.height_m[k]
-        if math.isnan(height):
-            height = sample(site.surface_m, site.pixel_m, east, south) + vehicle.altitude_m
-        pose = Pose(east, south, height, poses.heading_rad[k], poses.pitch_rad[k])
-        views.append((float(gone_m[k]), look(camera, site, vehicle, pose).share(target)))
-    return views
+        if now >= due:
+            due = now + LOOK_EVERY_S
+            at.append(k)
+    frames = seen_from(site, poses, vehicle, at)
+    return [(float(gone_m[k]), frame.share(target)) for k, frame in zip(at, frames, strict=True)]
 
 
 def _together(found: dict[str, _Measured], score: float | None) -> DriveEvaluation:

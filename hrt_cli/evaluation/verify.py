@@ -8,6 +8,7 @@ from typing import Literal
 
 from hrt_cli.artifacts.carriers import json_provenance, npz_provenance
 from hrt_cli.artifacts.drivelog import drive_provenance
+from hrt_cli.artifacts.html import html_provenance
 from hrt_cli.artifacts.png import png_provenance
 from hrt_cli.artifacts.provenance import Provenance, file_sha256
 from hrt_cli.artifacts.stage import ReadProvenance
@@ -32,6 +33,7 @@ _READERS: dict[str, ReadProvenance] = {
     ".png": png_provenance,
     ".jsonl": drive_provenance,
     ".onnx": onnx_provenance,
+    ".html": html_provenance,
     ".safetensors": _model_provenance,
 }
 
@@ -61,13 +63,32 @@ class Verification:
     inputs_absent: int
 
 
+def carries_provenance(path: Path) -> bool:
+    """Whether a file is, by its name, of a kind that can carry provenance."""
+    return path.suffix.lower() in _READERS
+
+
+def read_provenance(path: Path) -> Provenance | None:
+    """Read the provenance of a file of such a kind and check its content against it; None if it carries none.
+
+    Raises
+    ------
+    InputError
+        The file cannot be read, is of no such kind, or its content is not what was written.
+    """
+    reader = _READERS.get(path.suffix.lower())
+    if reader is None:
+        raise InputError(path, f"is no artifact: {', '.join(_READERS)} carry provenance")
+    return reader(path)
+
+
 def verify_file(path: Path, folders: tuple[Path, ...] = ()) -> Verification:
     """Re-check one artifact.
 
     Parameters
     ----------
     path : Path
-        A GeoTIFF, NPZ, JSON, PNG, drive log, or a steering model, exported or not.
+        A GeoTIFF, NPZ, JSON, PNG, drive log, report, or a steering model, exported or not.
     folders : tuple of Path
         Where to look for its inputs besides its own folder.
 
@@ -78,11 +99,10 @@ def verify_file(path: Path, folders: tuple[Path, ...] = ()) -> Verification:
     """
     if not path.is_file():
         raise InputError(path, "no such file")
-    reader = _READERS.get(path.suffix.lower())
-    if reader is None:
+    if not carries_provenance(path):
         raise InputError(path, f"is no artifact: {', '.join(_READERS)} carry provenance")
     try:
-        provenance = reader(path)
+        provenance = read_provenance(path)
     except HrtError as error:
         return Verification(path, "damaged", str(error).removeprefix(f"{path}: "), 0, 0)
     if provenance is None:

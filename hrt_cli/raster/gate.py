@@ -198,6 +198,20 @@ def open_raster(
         yield load_raster(path, pool, nodata=nodata, unreferenced=unreferenced)
 
 
+def says_where(path: Path) -> bool:
+    """Whether a raster names a coordinate reference system at all, be it good for anything or not.
+
+    Raises
+    ------
+    InputError
+        The file is no readable raster.
+    """
+    with DatasetPool() as pool:
+        _vrt_parts(path)
+        crs = pool.dataset(path).crs
+        return crs is not None and bool(crs.to_wkt())
+
+
 def load_raster(
     path: str | os.PathLike[str], pool: DatasetPool, *, nodata: float | None = None, unreferenced: bool = False
 ) -> Raster:
