@@ -143,7 +143,10 @@ def check_waypoints(shown: Opened, most: int = 5) -> None:
         for _ in range(6):
             x, y = shown.place_of(f'{marks} [data-waypoint="{point["index"]}"]')
             box = shown.page.locator(".frame").bounding_box()
-            x, y = min(max(x, box["x"] + 60), box["x"] + box["width"] - 20), min(max(y, box["y"] + 2), box["y"] + box["height"] - 2)
+            x, y = (
+                min(max(x, box["x"] + 60), box["x"] + box["width"] - 20),
+                min(max(y, box["y"] + 2), box["y"] + box["height"] - 2),
+            )
             shown.page.mouse.move(x, y)
             shown.page.mouse.wheel(0, -400)
             shown.settle()

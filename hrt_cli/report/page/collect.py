@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from hrt_cli.artifacts.jsonio import parse_strict, read_text
+from hrt_cli.artifacts.plan import team_members
 from hrt_cli.artifacts.png import png_provenance
 from hrt_cli.artifacts.provenance import Provenance, file_sha256
 from hrt_cli.errors import HrtError, InputError
@@ -117,6 +118,11 @@ class Folder:
     def of(self, *kinds: Kind) -> list[Item]:
         """Return the usable items of some kinds, in that order."""
         return [item for item in self.items if item.kind in kinds and not item.problem]
+
+    def plans(self) -> list[Item]:
+        """Return the plans, of one robot or a team; those of a team's robots are in the team's."""
+        robots = {path for item in self.of("team plan") for path in team_members(item.path)}
+        return [item for item in self.of("plan", "team plan") if item.path not in robots]
 
     def input_of(self, item: Item, *roles: str) -> Item | None:
         """Return the item that another was made from in one of these roles: the same bytes, whatever its name is now.

@@ -115,8 +115,7 @@ def compose(title: str, folder: Folder, world: Path | None, detail: Detail, tick
 
 
 def _show_plans(page: Page, folder: Folder, tick: Callable[[], None]) -> None:
-    robots = {path for item in folder.of("team plan") for path in team_members(item.path)}
-    items = [item for item in folder.of("plan", "team plan") if item.path not in robots]
+    items = folder.plans()
     for item in items:
         with page.telling(item):
             row = _plan_row(item)

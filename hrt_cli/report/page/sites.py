@@ -39,8 +39,6 @@ _PLACED: tuple[Kind, ...] = (
     "class raster",
     "scoremap",
     "area",
-    "plan",
-    "team plan",
     "drive log",
 )
 _ALIKE = 0.05
@@ -113,7 +111,7 @@ def find_sites(folder: Folder) -> list[SiteMap]:
 
     Items that cannot be placed get a `problem`.
     """
-    places = [place for item in folder.of(*_PLACED) if (place := _place(item)) is not None]
+    places = [place for item in folder.of(*_PLACED) + folder.plans() if (place := _place(item)) is not None]
     on_earth = [place for place in places if place.lonlat is not None]
     sites = []
     for group in together([_degrees(place) for place in on_earth]):
