@@ -152,7 +152,7 @@ def collect(paths: Sequence[Path]) -> Folder:
             raise InputError(path, "no such file or folder")
         found = [path] if path.is_file() else list(_walk(path))
         for each in found:
-            prefix = "" if len(paths) == 1 or path.is_file() else f"{path.name}/"
+            prefix = "" if len(paths) == 1 or path.is_file() else f"{path.resolve().name}/"
             named.setdefault(each, prefix + (each.name if path.is_file() else each.relative_to(path).as_posix()))
         if len(named) > MOST_FILES:
             raise InputError(path, f"holds more than the {MOST_FILES} files that are looked at", "name a folder in it")

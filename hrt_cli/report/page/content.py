@@ -236,7 +236,7 @@ def _facts(page: Page) -> list[dict[str, str]]:
         tell("driven", f"{drive['distance_m']:.0f} m", f"in {minutes} min {seconds} s, {drive['name']}")
         troubles = {"collisions": "collision", "stuck": "stall", "interventions": "intervention"}
         told = ", ".join(f"{drive[key]} {word}{'s' * (drive[key] != 1)}" for key, word in troubles.items())
-        tell("troubles", str(sum(drive[key] for key in troubles)), told)
+        tell("troubles logged", str(sum(drive[key] for key in troubles)), told)
         if drive["score_collected"] is not None:
             tell("score collected", f"{drive['score_collected']:.1f}", f"on the way, {drive['name']}")
         if drive["min_clearance_m"] is not None:
