@@ -133,8 +133,8 @@ def check_waypoints(shown: Opened, most: int = 5) -> None:
     plans = shown.data()["sites"][0]["plans"]
     if not plans:
         return
-    plan = plans[-1]
-    marks = f".marks .plan:nth-of-type({len(plans)})"
+    last = max(k for k, plan in enumerate(plans) if plan["shown"])
+    plan, marks = plans[last], f".marks .plan:nth-of-type({last + 1})"
     for point in plan["waypoints"][:: max(1, len(plan["waypoints"]) // most)][:most]:
         # Waypoints may lie close together, or under the camera's picture: each is looked at from near.
         shown.page.locator(".frame").focus()
@@ -168,7 +168,7 @@ def check_waypoints(shown: Opened, most: int = 5) -> None:
 
 def check_player(shown: Opened) -> None:
     """The slider moves the robot along the drive; playing does too, and stops at the end."""
-    drives = shown.data()["sites"][0]["drives"]
+    drives = [drive for drive in shown.data()["sites"][0]["drives"] if drive["shown"]]
     slider = shown.page.locator("#player input[type=range]")
     if not drives:
         assert not slider.is_visible()
@@ -199,7 +199,7 @@ def check_player(shown: Opened) -> None:
 def _screen_of(shown: Opened) -> Any:
     """The way from metres to the window's pixels, as three places of the robot tell it."""
     slider = shown.page.locator("#player input[type=range]")
-    drive = shown.data()["sites"][0]["drives"][-1]
+    drive = [each for each in shown.data()["sites"][0]["drives"] if each["shown"]][-1]
     seen = []
     for k in {0, len(drive["t"]) // 3, len(drive["t"]) // 2, len(drive["t"]) - 1}:
         slider.evaluate("(s, value) => { s.value = value; s.dispatchEvent(new Event('input')); }", drive["t"][k])

@@ -24,6 +24,7 @@ from hrt_cli.report.page.walks import reward_chart
 
 MOST_CHARTS = 12
 """Of one kind; of more the last are shown."""
+_TROUBLES = {"collisions": "collision", "stuck": "stall", "interventions": "intervention"}
 _MOST_PICTURES, _PICTURE_PX, _PICTURE_QUALITY = 24, 1200, 80
 
 
@@ -120,6 +121,8 @@ def _show_plans(page: Page, folder: Folder, tick: Callable[[], None]) -> None:
         with page.telling(item):
             row = _plan_row(item)
             page.plans.append(row)
+            if not row["length_m"] > 0:  # in rounds a robot may stay where it is
+                continue
             scoremap = folder.input_of(item, "scoremap")
             if scoremap is None:
                 page.notes.append(f"{item.name}: the scoremap that it was made from is not here: no reward curves")
@@ -153,7 +156,7 @@ def _show_drives(page: Page, folder: Folder, drives: Drives, frames: int, tick: 
             found = drives.measure(item)
             page.drives.append({"name": item.name} | asdict(found.total))
             chart = clearance_chart(item.name, found)
-            if chart is not None and item in shown:
+            if chart is not None and item in shown and found.total.distance_m > 0:
                 page.charts.append(chart)
         if item in shown and frames:
             with page.telling(item):
@@ -226,21 +229,22 @@ def _facts(page: Page) -> list[dict[str, str]]:
         facts.append({"label": label, "value": value, "detail": detail})
 
     if page.plans:
-        plan = page.plans[-1]
+        plan = ([each for each in page.plans if each["length_m"] > 0] or page.plans)[-1]
         share = plan["fraction_of_bound"]
         bound = "" if share is None else f"{share:.1%} of the best possible, "
         tell("score planned", f"{plan['score']:.1f}", f"{bound}{plan['length_m']:.0f} m, {plan['name']}")
-    if page.drives:
-        drive = page.drives[-1]
-        minutes, seconds = divmod(round(drive["duration_s"]), 60)
-        tell("driven", f"{drive['distance_m']:.0f} m", f"in {minutes} min {seconds} s, {drive['name']}")
-        troubles = {"collisions": "collision", "stuck": "stall", "interventions": "intervention"}
-        told = ", ".join(f"{drive[key]} {word}{'s' * (drive[key] != 1)}" for key, word in troubles.items())
-        tell("troubles logged", str(sum(drive[key] for key in troubles)), told)
-        if drive["score_collected"] is not None:
-            tell("score collected", f"{drive['score_collected']:.1f}", f"on the way, {drive['name']}")
-        if drive["min_clearance_m"] is not None:
-            tell(
-                "least clearance", f"{drive['min_clearance_m']:.2f} m", f"{drive['mean_clearance_m']:.2f} m on average"
-            )
+    going = [drive for drive in page.drives if drive["distance_m"] > 0]
+    if going:
+        which = going[0]["name"] if len(going) == 1 else f"{len(going)} drives"
+        minutes, seconds = divmod(round(sum(drive["duration_s"] for drive in going)), 60)
+        tell("driven", f"{sum(drive['distance_m'] for drive in going):.0f} m", f"in {minutes} min {seconds} s, {which}")
+        troubles = {word: sum(each[key] for each in going) for key, word in _TROUBLES.items()}
+        told = ", ".join(f"{count} {word}{'s' * (count != 1)}" for word, count in troubles.items())
+        tell("troubles logged", str(sum(troubles.values())), told)
+        last = going[-1]
+        if last["score_collected"] is not None:
+            tell("score collected", f"{last['score_collected']:.1f}", f"on the way, {last['name']}")
+        clearances = [each["min_clearance_m"] for each in going if each["min_clearance_m"] is not None]
+        if clearances:
+            tell("least clearance", f"{min(clearances):.2f} m", f"to an obstacle, {which}")
     return facts

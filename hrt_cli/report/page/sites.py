@@ -192,6 +192,15 @@ def draw_site(site: SiteMap, detail: int, tick: Callable[[], None]) -> None:
                 item.problem = str(error).removeprefix(f"{item.path}: ")
             tick()
     site.layers.sort(key=lambda layer: _ORDER.index(layer["group"]))
+    _show_the_last(site.plans, lambda plan: bool(plan["length_m"] > 0))
+    _show_the_last(site.drives, lambda drive: any(drive[axis] != drive[axis][:1] * len(drive[axis]) for axis in "en"))
+
+
+def _show_the_last(parts: list[dict[str, Any]], moves: Callable[[dict[str, Any]], bool]) -> None:
+    """Show the last file of plans or drives that gets anywhere: in rounds some stay where they are."""
+    going = [part for part in parts if moves(part)] or parts
+    for part in parts:
+        part["shown"] = part["file"] == going[-1]["file"]
 
 
 def _picture(site: SiteMap, item: Item, detail: int, *, last: bool) -> None:
@@ -235,11 +244,11 @@ def _area(site: SiteMap, item: Item, detail: int, *, last: bool) -> None:
 def _plan(site: SiteMap, item: Item, detail: int, *, last: bool) -> None:
     for line in plan_lines(item.path, item.name, site.frame, TEAM_COLOURS):
         if all(line["name"] != other["name"] for other in site.plans):
-            site.plans.append(line | {"shown": last})
+            site.plans.append(line | {"file": item.name})
 
 
 def _drive(site: SiteMap, item: Item, detail: int, *, last: bool) -> None:
-    site.drives.append(track(item.path, item.name, site.frame) | {"shown": last})
+    site.drives.append(track(item.path, item.name, site.frame) | {"file": item.name})
 
 
 def _layer(

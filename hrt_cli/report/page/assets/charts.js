@@ -134,7 +134,9 @@ function drawSteps(figure, spec) {
   });
   if (spec.mark.x !== null) {
     axes.line([[spec.mark.x, 0], [spec.mark.x, top]], { class: "mark" });
-    axes.text(axes.scale.x(spec.mark.x) + 6, CHART.top + 12, `${spec.mark.name} ${told(spec.mark.x)}`, "start");
+    const x = axes.scale.x(spec.mark.x);
+    const side = x > 0.7 * CHART.width ? -6 : 6;
+    axes.text(x + side, CHART.top + 12, `${spec.mark.name} ${told(spec.mark.x)}`, side < 0 ? "end" : "start");
   }
   return [[spec.x, spec.y], ...spec.values.map((value, k) => [spec.edges[k], value])];
 }

@@ -26,7 +26,7 @@ class Player {
       this.camera.hidden = true;
       return this.map.putRobot(null);
     }
-    const last = drives.length - 1;
+    const last = Math.max(0, drives.map((drive) => drive.shown).lastIndexOf(true));
     this.choice.value = last;
     return this.choose(drives[last]);
   }
@@ -36,6 +36,7 @@ class Player {
     for (const other of this.drives) other.driven.removeAttribute("d");
     this.drive = drive;
     drive.shown = true;
+    if (drive.box) drive.box.checked = true;
     this.slider.max = drive.t[drive.t.length - 1];
     this.slider.step = "any";
     this.slider.value = 0;
