@@ -3,24 +3,30 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
 from hrt_cli import options as opt
-from hrt_cli.artifacts.stage import Existing
+from hrt_cli.manual import Command
 from hrt_cli.progress import Console
+
+if TYPE_CHECKING:
+    from hrt_cli.artifacts.stage import Existing
 
 
 @click.command(
+    cls=Command,
+    see_also=("segment",),
     epilog="""\b
 Example:
   hrt synth site --scene meadow --size 40
   hrt segment site/ortho.tif -o site/classes.tif --classes 6
   hrt evaluate segment site/classes.tif site/truth.tif --figure site/agreement.png
-"""
+""",
 )
-@click.argument("classes", type=opt.PATH)
-@click.argument("truth", type=opt.PATH)
+@click.argument("classes", type=opt.CLASSES)
+@click.argument("truth", type=opt.CLASSES)
 @click.option(
     "--tolerance-m",
     type=opt.FiniteFloat(0),

@@ -3,21 +3,27 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
 from hrt_cli import options as opt
-from hrt_cli.artifacts.stage import Existing
+from hrt_cli.manual import Command
 from hrt_cli.progress import Console
+
+if TYPE_CHECKING:
+    from hrt_cli.artifacts.stage import Existing
 
 
 @click.command(
+    cls=Command,
+    see_also=("init", "segment", "drive"),
     epilog="""\b
 Example:
   hrt synth site --scene wildfire --size 40 --seed 3
-"""
+""",
 )
-@click.argument("folder", type=opt.PATH)
+@click.argument("folder", type=opt.File("FOLDER", writes=True))
 @click.option(
     "--scene",
     type=click.Choice(["meadow", "wildfire", "reef"]),

@@ -232,7 +232,7 @@ def plugins(tmp_path: Path) -> dict[str, str]:
 def test_a_plugin_is_listed_and_run(plugins: dict[str, str]) -> None:
     listed = hrt("--help", env=plugins)
     assert listed.returncode == 0
-    assert re.search(r"^  hello +\(plugin\)$", listed.stdout, re.MULTILINE)
+    assert re.search(r"^  hello +\(plugin thirdparty 1\.0\)$", listed.stdout, re.MULTILINE)
     assert listed.stdout.count("\n  plan ") == 1
     assert "Plan the path" in listed.stdout
     assert hrt("hello", "world", env=plugins).stdout == "hello world\n"
