@@ -20,12 +20,13 @@ Example:
   hrt completion bash
 """,
 )
-@click.argument("shell", type=click.Choice(SHELLS))
+@click.argument("shell", type=click.Choice(SHELLS), metavar="SHELL")
 @click.pass_context
 def completion(ctx: click.Context, shell: str) -> None:
     """Print the script that lets bash, zsh or fish complete commands, options, their values and files.
 
-    Save it where the shell looks for it, or run it: eval "$(hrt completion bash)". Files are offered by what an
+    SHELL is bash (4.4 or later), zsh or fish. Save the script where the shell looks for it, as below, or run it, as by
+    eval "$(hrt completion bash)". Files are offered by what an
     option or argument takes: rasters for an orthomosaic, logs for a drive.
     """
     Console().result(script(shell, ctx.find_root().command).rstrip("\n"), {}, only_here=True)

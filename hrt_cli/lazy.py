@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from hrt_cli.errors import HrtError
+from hrt_cli.manual import write_example
 
 if TYPE_CHECKING:
     from importlib.metadata import EntryPoint
@@ -86,6 +87,10 @@ class LazyGroup(click.Group):
             if names:
                 with formatter.section(title):
                     formatter.write_dl([(name.ljust(widest), texts[name]) for name in names])
+
+    def format_epilog(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """Write the example as the last section."""
+        write_example(self.epilog, formatter)
 
     def _texts(self) -> dict[str, str]:
         """Return what each command does, of plugins as their package says it; none is imported."""

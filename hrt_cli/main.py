@@ -114,7 +114,7 @@ def _show_versions(ctx: click.Context, param: click.Parameter, value: bool) -> N
     stages=STAGES,
     context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
     epilog="""\b
-Begin with a sample site:
+Example:
   hrt synth site --scene meadow --size 40
   hrt segment site/ortho.tif -o classes.tif --classes 5
   hrt scoremap classes.tif -o scoremap.tif

@@ -83,10 +83,19 @@ class Command(click.Command):
 
     def format_epilog(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """Write the example as the last section."""
-        title, _, lines = (self.epilog or "").removeprefix("\b\n").partition(":\n")
-        if lines:
-            with formatter.section(title):
-                formatter.write_text(f"\b\n{inspect.cleandoc(lines)}")
+        write_example(self.epilog, formatter)
+
+
+def example_of(epilog: str | None) -> str:
+    """Return the lines of the example that ends a help."""
+    return inspect.cleandoc((epilog or "").removeprefix("\b\nExample:\n"))
+
+
+def write_example(epilog: str | None, formatter: click.HelpFormatter) -> None:
+    """Write the example of a help as a section, line by line as it is."""
+    if epilog:
+        with formatter.section("Example"):
+            formatter.write_text(f"\b\n{example_of(epilog)}")
 
 
 def arguments_of(command: click.Command) -> list[click.Argument]:
