@@ -26,7 +26,7 @@ METHODS = ("refined", "policy", "policy-sample", "greedy", "rectangle", "lawnmow
         "Team and earlier drives": "--robots --visited --or-stay",
         "Planner": "--method --objective --gamma --policy --effort --samples --seed",
     },
-    files="With --robots, the plans of the robots stand beside the output: team-1.json, team-2.json.",
+    files="With --robots, the plans of the robots stand beside the output, as PLAN-1.json, PLAN-2.json, ...",
     see_also=("scoremap", "export", "evaluate plan", "drive"),
     epilog="""\b
 Example:

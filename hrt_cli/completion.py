@@ -21,6 +21,7 @@ _BASH = """\
     local IFS=$'\\n' kind value help
     COMPREPLY=()
     while IFS=$'\\t' read -r kind value help; do
+        [[ -n $kind ]] || continue
         [[ $kind == path ]] && compopt -o filenames
         COMPREPLY+=("$value")
     done < <(COMP_WORDS="${COMP_WORDS[*]}" COMP_CWORD=$COMP_CWORD %(complete_var)s=bash_complete "$1" 2>/dev/null)
@@ -35,7 +36,9 @@ _ZSH = """\
     local -a plain described files
     local kind value help
     while IFS=$'\\t' read -r kind value help; do
-        if [[ $kind == path ]]; then
+        if [[ -z $kind ]]; then
+            continue
+        elif [[ $kind == path ]]; then
             files+=("$value")
         elif [[ -n $help ]]; then
             described+=("${value//:/\\\\:}:$help")
@@ -61,6 +64,7 @@ function %(complete_func)s
     set -lx COMP_CWORD (commandline -t)
     set -lx %(complete_var)s fish_complete
     for line in (%(prog_name)s 2>/dev/null)
+        test -n "$line"; or continue
         set -l parts (string split \\t -- $line)
         if test -n "$parts[3]"
             printf '%%s\\t%%s\\n' $parts[2] $parts[3]

@@ -21,8 +21,6 @@ F = TypeVar("F", bound=Callable[..., Any])
 
 _BANDS = re.compile(r"[1-9][0-9]{0,4}(,[1-9][0-9]{0,4})*")
 
-PATH = click.Path(path_type=Path)
-
 
 class File(click.Path):
     """A path that help names and a shell completes: folders, and files that end as its name or one of `others` does.
@@ -54,6 +52,7 @@ class File(click.Path):
         return paths(incomplete, self.suffixes, folders_only=self.folder)
 
 
+PATH = File("PATH")
 FOLDER = File("FOLDER")
 RASTER = File("RASTER.tif", ".tiff", ".vrt", ".jp2", ".png", ".jpg", ".jpeg")
 CLASSES = File("CLASSES.tif", ".tiff", ".vrt")

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import io
 import os
 import platform
 import sys
 from collections.abc import Callable, Iterator
+from contextlib import redirect_stdout
 
 from hrt_cli import __version__
 
@@ -50,8 +52,10 @@ def lines() -> Iterator[str]:
 
 def _attempt(ask: Callable[[], str]) -> str:
     # A package may fail in any way when it is imported: what is broken is what a report is about.
+    # What it prints meanwhile (OpenCV does without NumPy) is no line of ours.
     try:
-        return ask()
+        with redirect_stdout(io.StringIO()):
+            return ask()
     except Exception as error:
         return f"{type(error).__name__}: {' '.join(str(error).split())}"
 
