@@ -56,7 +56,7 @@ Example:
     type=click.Choice(["invariant", "aware", "sorted"]),
     default="invariant",
     show_default=True,
-    help="invariant: a texture turned is the same texture. aware: it is another. sorted: the same, by order statistics.",
+    help="invariant: a texture turned is the same texture. aware: it is another. sorted: the same, by ranks.",
 )
 @click.option("--scale-invariant", is_flag=True, help="A texture seen larger is the same texture.")
 @click.option(
