@@ -23,6 +23,7 @@ if TYPE_CHECKING:
         "Robot": "--vehicle --local --model --rescue --disturb --seed",
         "Output": "--record",
     },
+    keys=("output", "up_to_date", "end", "place", "distance_m", "duration_s", "collisions", "interventions", "notes"),
     see_also=("plan", "evaluate drive", "feedback", "train-steer"),
     epilog="""\b
 Example:

@@ -21,6 +21,18 @@ if TYPE_CHECKING:
 @click.command(
     cls=Command,
     difference="there was a collision, and --require-no-collision is given",
+    keys=(
+        "distance_m",
+        "duration_s",
+        "collisions",
+        "interventions",
+        "min_clearance_m",
+        "mean_clearance_m",
+        "target_in_view",
+        "score_collected",
+        "drives",
+        "notes",
+    ),
     see_also=("drive", "feedback"),
     epilog="""\b
 Example:

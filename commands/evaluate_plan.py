@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 @click.command(
     cls=Command,
     difference="a plan's fraction of the bound is less than --require",
+    keys=("plans", "planner", "baselines", "upper_bound", "discounted_upper_bound"),
     see_also=("plan",),
     epilog="""\b
 Example:

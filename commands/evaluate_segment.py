@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 
 @click.command(
     cls=Command,
+    keys=("ari", "nmi", "accuracy", "mean_iou", "boundary_f", "per_class", "matching", "confusion"),
     see_also=("segment",),
     epilog="""\b
 Example:

@@ -21,6 +21,18 @@ if TYPE_CHECKING:
 @click.command(
     cls=Command,
     difference="the model is worse than --require-mae or --require-better-than-constant allow",
+    keys=(
+        "mae",
+        "rmse",
+        "accuracy",
+        "nll",
+        "ece",
+        "constant_baseline_mae",
+        "frames",
+        "skipped",
+        "constant",
+        "sessions",
+    ),
     see_also=("train-steer", "steer"),
     epilog="""\b
 Example:

@@ -25,6 +25,7 @@ if TYPE_CHECKING:
         "Frame": "--local-frame --datum",
         "Output": "--format",
     },
+    keys=("output", "format", "missions", "notes"),
     see_also=("plan",),
     epilog="""\b
 Example:

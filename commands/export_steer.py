@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 @click.command(
     "export-steer",
     cls=Command,
+    keys=("output", "up_to_date", "precision", "size_bytes", "comparison"),
     see_also=("train-steer", "steer"),
     epilog="""\b
 Example:

@@ -42,6 +42,7 @@ def _positive(name: str, unit: str, default: float | None, text: str) -> Callabl
         "Evidence": "--commanded --curve --event-weight --robot-radius --gap --forget-m",
         "Terrain": "--dsm --slope-limit --rugosity-limit",
     },
+    keys=("output", "up_to_date", "scores", "logs", "evidence_m", "off_map_m", "events", "notes"),
     see_also=("drive", "scoremap", "inspect"),
     epilog="""\b
 Example:

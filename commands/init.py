@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 
 @click.command(
     cls=Command,
+    keys=("output", "files", "up_to_date"),
     see_also=("synth", "inspect"),
     epilog="""\b
 Example:

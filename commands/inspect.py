@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 
 @click.command(
     cls=Command,
+    keys=("notes",),
     see_also=("segment", "scoremap", "plan", "feedback"),
     epilog="""\b
 Example:

@@ -27,6 +27,21 @@ METHODS = ("refined", "policy", "policy-sample", "greedy", "rectangle", "lawnmow
         "Planner": "--method --objective --gamma --policy --effort --samples --seed",
     },
     files="With --robots, the plans of the robots stand beside the output, as PLAN-1.json, PLAN-2.json, ...",
+    keys=(
+        "output",
+        "up_to_date",
+        "method",
+        "score",
+        "discounted_score",
+        "upper_bound",
+        "gap",
+        "steps",
+        "length_m",
+        "time_s",
+        "start",
+        "waypoints",
+        "seconds",
+    ),
     see_also=("scoremap", "export", "evaluate plan", "drive"),
     epilog="""\b
 Example:

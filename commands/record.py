@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 
 @click.command(
     cls=Command,
+    keys=("output", "up_to_date", "frames", "near", "resumed_at"),
     see_also=("drive", "train-steer"),
     epilog="""\b
 Example:

@@ -25,6 +25,7 @@ if TYPE_CHECKING:
         "Interest": "--interest --interest-range --interest-cell --interest-weight --interest-radius --thermal-units",
         "Terrain": "--dsm --slope-limit --rugosity-limit",
     },
+    keys=("output", "up_to_date", "rows", "cols", "cell_size_m", "go_cells", "mean_score", "seconds", "notes"),
     see_also=("segment", "feedback", "plan"),
     epilog="""\b
 Example:

@@ -25,6 +25,17 @@ if TYPE_CHECKING:
         "Computing": "--workers --dask --block",
     },
     files="CLASSES.qml, beside the output, gives the classes their colours in QGIS.",
+    keys=(
+        "output",
+        "up_to_date",
+        "classes",
+        "class_fractions",
+        "pixels",
+        "valid_pixels",
+        "seconds",
+        "megapixels_per_second",
+        "notes",
+    ),
     see_also=("inspect", "scoremap", "evaluate segment"),
     epilog="""\b
 Example:

@@ -20,6 +20,18 @@ if TYPE_CHECKING:
     sections={
         "Output": "--overlay --saliency",
     },
+    keys=(
+        "output",
+        "overlay",
+        "up_to_date",
+        "frames",
+        "skipped",
+        "passes",
+        "two_ways",
+        "mean",
+        "mean_spread",
+        "seconds",
+    ),
     see_also=("train-steer", "evaluate steer"),
     epilog="""\b
 Example:

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 
 @click.command(
     cls=Command,
+    keys=("output", "up_to_date", "scene", "files", "classes", "rows", "cols"),
     see_also=("init", "segment", "drive"),
     epilog="""\b
 Example:

@@ -26,6 +26,16 @@ FAMILIES = ("gaussians", "noise", "classes", "obstacles", "speckle", "islands", 
         "Output": "--curve",
     },
     files=".OUTPUT.hrt-checkpoint, beside the output, keeps a training that was stopped.",
+    keys=(
+        "output",
+        "up_to_date",
+        "resumed_at",
+        "steps",
+        "steps_per_second",
+        "seconds",
+        "final_share",
+        "learning_curve",
+    ),
     see_also=("plan",),
     epilog="""\b
 Example:

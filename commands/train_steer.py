@@ -29,6 +29,21 @@ if TYPE_CHECKING:
         "Output": "--curve --metrics",
     },
     files=".OUTPUT.hrt-checkpoint, beside the output, keeps a training that was stopped.",
+    keys=(
+        "output",
+        "up_to_date",
+        "mae",
+        "rmse",
+        "accuracy",
+        "nll",
+        "ece",
+        "constant_baseline_mae",
+        "frames",
+        "skipped",
+        "epochs",
+        "best_epoch",
+        "seconds",
+    ),
     see_also=("drive", "record", "steer", "evaluate steer", "export-steer"),
     epilog="""\b
 Example:

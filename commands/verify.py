@@ -15,6 +15,7 @@ from hrt_cli.progress import Console
 @click.command(
     cls=Command,
     difference="a file is not what was written, an input has changed, or there is no provenance",
+    keys=("files",),
     see_also=("inspect",),
     epilog="""\b
 Example:

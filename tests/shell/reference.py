@@ -68,7 +68,12 @@ def _page(context: click.Context) -> str:
     lines += ["## Options", "", *_options(context), "", *_files(command)]
     if keys := getattr(command, "keys", ()):
         listed = ", ".join(f"`{key}`" for key in keys)
-        lines += ["## Keys of `--json`", "", f"Always there: {listed}. More may stand beside them.", ""]
+        lines += [
+            "## Keys of `--json`",
+            "",
+            f"Always there, null where they are not known: {listed}. More may stand beside them.",
+            "",
+        ]
     if not isinstance(command, click.Group):
         lines += [*_exits(getattr(command, "difference", "")), ""]
     if see := getattr(command, "see_also", ()):

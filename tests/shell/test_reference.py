@@ -69,6 +69,9 @@ def test_what_a_help_names_is_there(context: click.Context) -> None:
     assert set(named) <= flags
     assert len(set(named)) == len(named)
     assert {f"hrt {each}" for each in command.see_also} <= set(CALLED)
+    assert bool(command.keys) == ("--json" in flags), (
+        "what --json promises: tests/flow/test_examples.py holds it to that"
+    )
     module = ROOT / "commands" / f"{context.command_path.removeprefix('hrt ').replace(' ', '_').replace('-', '_')}.py"
     raises = "raise DifferenceError" in module.read_text(encoding="utf-8")
     assert raises == bool(command.difference), "exit code 3 is told by those that end with it"
