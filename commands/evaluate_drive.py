@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import click
 
 from hrt_cli import options as opt
+from hrt_cli.completion import class_names
 from hrt_cli.errors import DifferenceError
 from hrt_cli.manual import Command
 from hrt_cli.progress import Console
@@ -48,7 +49,10 @@ Example:
 @click.option("--world", type=opt.FOLDER, help="Folder of the site, for clearances and what was in view.")
 @click.option("--scoremap", type=opt.SCOREMAP, help="Scoremap, for the score collected.")
 @click.option(
-    "--target", metavar="CLASS", help="Class to look for: its name or number. Default: the one that the world names."
+    "--target",
+    metavar="CLASS",
+    shell_complete=class_names,
+    help="Class to look for: its name or number. Default: the one that the world names.",
 )
 @click.option("--require-no-collision", is_flag=True, help="Exit with 3 if there was a collision.")
 @opt.figure_opt

@@ -114,13 +114,22 @@ def paths(incomplete: str, suffixes: Sequence[str], *, folders_only: bool = Fals
     return [CompletionItem(os.path.join(typed, each), type="path") for each in sorted(names)]
 
 
+def class_names(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem]:
+    """Return the names of the classes of the `--world` that was given before, as its world.json has them."""
+    import json
+
+    world = json.loads(Path(ctx.params["world"], "world.json").read_text(encoding="utf-8"))
+    names = [str(each["name"]) for each in world["classes"].values()]
+    return [CompletionItem(name) for name in names if name.startswith(incomplete)]
+
+
 class _Quiet(ShellComplete):
     """What the three shells share: one format of answers, and none where the line cannot be understood."""
 
     def get_completions(self, args: list[str], incomplete: str) -> list[CompletionItem]:
         try:
             return super().get_completions(args, incomplete)
-        except Exception:  # a plugin that cannot be loaded must not print into what is being typed
+        except Exception:  # a broken plugin or file must not print into what is being typed
             return []
 
     def format_completion(self, item: CompletionItem) -> str:

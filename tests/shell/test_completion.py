@@ -65,6 +65,14 @@ def test_what_may_come_next(words: str, found: list[str], site: Path) -> None:
     assert asked(words, site) == found
 
 
+def test_the_classes_of_a_world(site: Path) -> None:
+    (site / "tiles" / "world.json").write_text('{"classes": {"0": {"name": "sand"}, "1": {"name": "coral"}}}')
+    assert asked("hrt evaluate drive log.jsonl --world tiles --target ", site) == ["sand", "coral"]
+    assert asked("hrt evaluate drive log.jsonl --world tiles --target co", site) == ["coral"]
+    assert asked("hrt evaluate drive log.jsonl --world absent --target ", site) == []
+    assert asked("hrt evaluate drive log.jsonl --target ", site) == []
+
+
 def test_asking_for_commands_and_options_imports_nothing_heavy(tmp_path: Path) -> None:
     probe = (
         "import sys\nfrom hrt_cli.main import main\ntry: main()\nexcept SystemExit: pass\n"
