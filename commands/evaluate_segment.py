@@ -31,7 +31,7 @@ Example:
 @click.option(
     "--tolerance-m",
     type=opt.FiniteFloat(0),
-    help="How far boundaries may lie apart, m. Default: 0.5, or one pixel where that is more; "
+    help="How far boundaries may lie apart. Default: 0.5, or one pixel where that is more; "
     "with --unreferenced in pixels, 0.75 % of the diagonal.",
 )
 @opt.unreferenced_opt

@@ -33,10 +33,10 @@ Example:
     help="What grows, burns or lives there.",
 )
 @click.option(
-    "--size", "size_m", type=opt.FiniteFloat(5, 500), default=60.0, show_default=True, help="Side of the site, m."
+    "--size", "size_m", type=opt.FiniteFloat(5, 500), default=60.0, show_default=True, help="Side of the site."
 )
 @click.option(
-    "--pixel", "pixel_m", type=opt.FiniteFloat(0.01, 0.5), default=0.05, show_default=True, help="Pixel side, m."
+    "--pixel", "pixel_m", type=opt.FiniteFloat(0.01, 0.5), default=0.05, show_default=True, help="Side of a pixel."
 )
 @opt.seed_opt
 @opt.existing_options

@@ -17,14 +17,14 @@ _LAST = {
 """Sections that every command has, before and after its own; an option that no section names is under `Options`."""
 EXITS = {
     "0": "done, or up to date",
-    "1": "an input was refused: one line on stderr says which, why, and what to do",
+    "1": "refused: an input, or an output that exists; one line on stderr says which, why, and what to do",
     "2": "wrong usage",
     "130, 143": "interrupted, terminated; no output is half-written",
 }
 """What the exit codes of every command mean."""
 _COLUMN = 26
 """Names of options that are longer stand on a line of their own."""
-SHORT_EXITS = "0 done or up to date; 1 an input was refused; 2 wrong usage; {three}130, 143 stopped by a signal."
+SHORT_EXITS = "0 done or up to date; 1 refused (an input, an output that exists); 2 wrong usage; {three}130, 143 stopped by a signal."
 
 
 class Command(click.Command):

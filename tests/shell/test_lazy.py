@@ -39,7 +39,7 @@ def test_help_imports_no_command() -> None:
     ("typed", "hint"),
     [
         (["segmnt"], "No such command 'segmnt'. Did you mean 'segment'?"),
-        (["Plan"], "No such command 'Plan'. Did you mean 'plan'?"),
+        (["PLAN"], "No such command 'PLAN'. Did you mean 'plan'?"),
         (["evaluate", "drve"], "No such command 'drve'. Did you mean 'drive'?"),
         (["xyzzy"], "No such command 'xyzzy'.\n"),
         (["--vrsion"], "No such option"),
