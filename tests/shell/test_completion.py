@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import os
+import pty
+import select
 import shutil
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import pytest
@@ -195,3 +198,42 @@ def test_in_zsh(site: Path) -> None:
         "tiles",
     ]
     assert done.stdout.splitlines() == expected
+
+
+SHELLS_AS_USERS_RUN_THEM = {
+    "bash": (["bash", "--norc", "-i"], 'eval "$(hrt completion bash)"'),
+    "zsh": (["zsh", "-f", "-i"], "autoload -U compinit; compinit -D; source <(hrt completion zsh)"),
+}
+
+
+@pytest.mark.parametrize("shell", SHELLS_AS_USERS_RUN_THEM)
+def test_the_tab_key_in_a_terminal(shell: str, site: Path) -> None:
+    if shutil.which(shell) is None:
+        pytest.skip(f"no {shell} here")
+    command, setup = SHELLS_AS_USERS_RUN_THEM[shell]
+    leader, follower = pty.openpty()
+    env = ENV | {"TERM": "dumb", "HOME": str(site), "PS1": "$ ", "COLUMNS": "200"}
+    with subprocess.Popen(command, stdin=follower, stdout=follower, stderr=follower, cwd=site, env=env) as child:
+
+        def until(awaited: str) -> None:
+            shown, deadline = "", time.monotonic() + 60
+            while awaited not in shown:
+                assert time.monotonic() < deadline, shown
+                if select.select([leader], [], [], 0.2)[0]:
+                    shown += os.read(leader, 65536).decode(errors="replace").replace("\a", "")
+
+        try:
+            os.write(leader, f"{setup}; echo rea''dy\n".encode())
+            until("ready")
+            for typed, awaited in (
+                ("hrt segment Ol", r"Old\ ortho.TIF "),
+                ("hrt segment ti", "tiles/"),
+                ("hrt seg", "segment "),
+            ):
+                os.write(leader, f"{typed}\t".encode())
+                until(awaited)
+                os.write(leader, b"\x15")
+        finally:
+            child.kill()
+    os.close(leader)
+    os.close(follower)
