@@ -213,7 +213,9 @@ def test_the_tab_key_in_a_terminal(shell: str, site: Path) -> None:
     command, setup = SHELLS_AS_USERS_RUN_THEM[shell]
     leader, follower = pty.openpty()
     env = ENV | {"TERM": "dumb", "HOME": str(site), "PS1": "$ ", "COLUMNS": "200"}
-    with subprocess.Popen(command, stdin=follower, stdout=follower, stderr=follower, cwd=site, env=env) as child:
+    streams = {"stdin": follower, "stdout": follower, "stderr": follower}
+    # In a session of its own, so that it does not take the terminal that the tests run in.
+    with subprocess.Popen(command, **streams, cwd=site, env=env, start_new_session=True) as child:
 
         def until(awaited: str) -> None:
             shown, deadline = "", time.monotonic() + 60
