@@ -51,6 +51,11 @@ def stale(folder: Path = FOLDER) -> list[str]:
 
 def _index(context: click.Context) -> str:
     lines = [MADE, "", "# The commands of hrt", "", *_prose(cli.help), "", _usage(context), "", *_listed(context)]
+    lines += [
+        "Of inputs, the endings that the pages name are the usual ones, which the shell completes: what a file is, its content",
+        "tells.",
+        "",
+    ]
     lines += ["## Options of hrt", "", *_options(context), "", *_exits("a check found a difference"), ""]
     lines += ["## Example", "", "```sh", example_of(cli.epilog), "```"]
     return "\n".join(lines) + "\n"
@@ -125,7 +130,13 @@ def _takes(param: click.Parameter) -> str:
     if isinstance(kind, click.Choice):
         return ", ".join(f"`{each}`" for each in kind.choices)
     if isinstance(kind, opt.File):
-        return "folder" if kind.folder else " ".join(f"`{each}`" for each in kind.suffixes) or "file or folder"
+        return (
+            "folder"
+            if kind.folder
+            else f"file: {' '.join(f'`{each}`' for each in kind.suffixes)}"
+            if kind.suffixes
+            else "file or folder"
+        )
     if isinstance(kind, click.Path):
         return "file or folder"
     if isinstance(kind, click.IntRange):
