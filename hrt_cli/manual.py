@@ -24,7 +24,7 @@ EXITS = {
 """What the exit codes of every command mean."""
 _COLUMN = 26
 """Names of options that are longer stand on a line of their own."""
-SHORT_EXITS = "0 done or up to date; 1 refused (an input, an output that exists); 2 wrong usage; {three}130, 143 stopped by a signal."
+SHORT_EXITS = "0 done or up to date; 1 an input or output refused; 2 wrong usage; {three}130, 143 stopped by a signal."
 
 
 class Command(click.Command):

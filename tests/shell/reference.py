@@ -52,8 +52,8 @@ def stale(folder: Path = FOLDER) -> list[str]:
 def _index(context: click.Context) -> str:
     lines = [MADE, "", "# The commands of hrt", "", *_prose(cli.help), "", _usage(context), "", *_listed(context)]
     lines += [
-        "Of inputs, the endings that the pages name are the usual ones, which the shell completes: what a file is, its content",
-        "tells.",
+        "Of inputs, the endings that the pages name are the usual ones, which the shell completes: what a file is, its",
+        "content tells.",
         "",
     ]
     lines += ["## Options of hrt", "", *_options(context), "", *_exits("a check found a difference"), ""]
