@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import importlib
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
@@ -62,7 +61,9 @@ class LazyGroup(click.Group):
         name = args[0]
         known = ctx.resilient_parsing or name.startswith("-") or self.get_command(ctx, name) is not None
         if not known:
-            near = difflib.get_close_matches(name.lower(), self.list_commands(ctx))
+            from difflib import get_close_matches
+
+            near = get_close_matches(name.lower(), self.list_commands(ctx))
             hint = f" Did you mean {' or '.join(repr(each) for each in near)}?" if near else ""
             raise click.UsageError(f"No such command {name!r}.{hint}", ctx)
         return super().resolve_command(ctx, args)
