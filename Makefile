@@ -8,7 +8,7 @@ BIN := $(VENV)/bin
 DEMO ?= demo
 
 .DELETE_ON_ERROR:
-.PHONY: demo missions test lint install lock policy fixtures golden clean
+.PHONY: demo missions test lint install lock policy fixtures golden docs clean
 
 install: $(VENV)/.installed
 
@@ -59,6 +59,10 @@ fixtures: $(VENV)/.installed
 
 golden: $(VENV)/.installed
 	$(BIN)/python tests/flow/golden.py --write
+
+# The reference of the commands, docs/cli/, as their help tells it.
+docs: $(VENV)/.installed
+	$(BIN)/python tests/shell/reference.py --write
 
 clean:
 	rm -rf $(DEMO) missions build dist *.egg-info

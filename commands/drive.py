@@ -4,15 +4,27 @@ from __future__ import annotations
 
 from dataclasses import asdict
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
 from hrt_cli import options as opt
-from hrt_cli.artifacts.stage import Existing
+from hrt_cli.manual import Command
 from hrt_cli.progress import Console
+
+if TYPE_CHECKING:
+    from hrt_cli.artifacts.stage import Existing
 
 
 @click.command(
+    cls=Command,
+    sections={
+        "Way": "--world --roam --after --stay --time-limit",
+        "Robot": "--vehicle --local --model --rescue --disturb --seed",
+        "Output": "--record",
+    },
+    keys=("output", "up_to_date", "end", "place", "distance_m", "duration_s", "collisions", "interventions", "notes"),
+    see_also=("plan", "evaluate drive", "feedback", "train-steer"),
     epilog="""\b
 Example:
   hrt synth site --scene meadow --size 30
@@ -21,15 +33,15 @@ Example:
   hrt plan site/scoremap.tif -o site/plan.json --start auto --budget 2min
   hrt drive site/plan.json --world site -o site/drive.jsonl --local expert
   hrt drive --world site --roam 30 --local expert --disturb 0.3 --record site/frames -o site/roam.jsonl
-"""
+""",
 )
-@click.argument("plan", type=opt.PATH, required=False)
+@click.argument("plan", type=opt.PLAN, required=False)
 @click.option(
     "--world",
-    type=opt.PATH,
+    type=opt.FOLDER,
     help="Folder of the site: ortho.tif, dsm.tif and, where the truth is known, truth.tif and world.json.",
 )
-@opt.output_opt
+@opt.output("DRIVE.jsonl")
 @click.option(
     "--local",
     type=click.Choice(["pursuit", "expert", "teacher", "steer"]),
@@ -38,7 +50,7 @@ Example:
     help="Who steers between waypoints: pursuit follows the path and sees nothing, the expert sees the site as it is, "
     "the teacher does, too, and makes for the point ahead that a learner is told, steer has a camera and a --model.",
 )
-@click.option("--model", type=opt.PATH, help="Steering model of --local steer (hrt train-steer).")
+@click.option("--model", type=opt.STEERING, help="Steering model of --local steer (hrt train-steer).")
 @click.option(
     "--roam",
     "roam_m",
@@ -56,12 +68,14 @@ Example:
     "--rescue", is_flag=True, help="Where --local steer gets no farther, the teacher drives a little: for a --record."
 )
 @click.option(
-    "--vehicle", type=click.Choice(["ugv", "auv"]), help="Default: auv where the site is under water, else ugv."
+    "--vehicle",
+    type=click.Choice(["ugv", "auv"]),
+    help="ugv drives on the ground, auv swims. Default: auv where the site is under water, else ugv.",
 )
-@click.option("--after", type=opt.PATH, help="Log of the drive that this one goes on from: it begins where that ended.")
+@click.option("--after", type=opt.LOG, help="Log of the drive that this one goes on from: it begins where that ended.")
 @click.option(
     "--record",
-    type=opt.PATH,
+    type=opt.File("FOLDER", writes=True),
     help="Folder for what the camera saw: frames, and labels.csv with the expert's steering, to train on.",
 )
 @click.option(

@@ -24,6 +24,15 @@ KINDS = {
 }
 
 
-@click.group(cls=LazyGroup, table=KINDS)
+@click.group(
+    cls=LazyGroup,
+    table=KINDS,
+    epilog="""\b
+Example:
+  hrt synth site --scene meadow --size 40
+  hrt segment site/ortho.tif -o site/classes.tif --classes 6
+  hrt evaluate segment site/classes.tif site/truth.tif
+""",
+)
 def evaluate() -> None:
     """Measure a segmentation, plans, drives or a steering model."""

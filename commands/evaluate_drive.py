@@ -9,15 +9,32 @@ from typing import TYPE_CHECKING
 import click
 
 from hrt_cli import options as opt
-from hrt_cli.artifacts.stage import Existing
+from hrt_cli.completion import class_names
 from hrt_cli.errors import DifferenceError
+from hrt_cli.manual import Command
 from hrt_cli.progress import Console
 
 if TYPE_CHECKING:
+    from hrt_cli.artifacts.stage import Existing
     from hrt_cli.evaluation.drives import DriveMeasure
 
 
 @click.command(
+    cls=Command,
+    difference="there was a collision, and --require-no-collision is given",
+    keys=(
+        "distance_m",
+        "duration_s",
+        "collisions",
+        "interventions",
+        "min_clearance_m",
+        "mean_clearance_m",
+        "target_in_view",
+        "score_collected",
+        "drives",
+        "notes",
+    ),
+    see_also=("drive", "feedback"),
     epilog="""\b
 Example:
   hrt synth site --scene meadow --size 40
@@ -26,12 +43,17 @@ Example:
   hrt plan site/scoremap.tif -o site/plan.json --start auto --budget 3min
   hrt drive site/plan.json --world site -o site/drive.jsonl --local expert
   hrt evaluate drive site/drive.jsonl --world site --scoremap site/scoremap.tif --target grass
-"""
+""",
 )
-@click.argument("logs", nargs=-1, required=True, type=opt.PATH)
-@click.option("--world", type=opt.PATH, help="Folder of the site, for clearances and what was in view.")
-@click.option("--scoremap", type=opt.PATH, help="Scoremap, for the score collected.")
-@click.option("--target", help="Class to look for: its name or number. Default: the one that the world names.")
+@click.argument("logs", nargs=-1, required=True, type=opt.LOG)
+@click.option("--world", type=opt.FOLDER, help="Folder of the site, for clearances and what was in view.")
+@click.option("--scoremap", type=opt.SCOREMAP, help="Scoremap, for the score collected.")
+@click.option(
+    "--target",
+    metavar="CLASS",
+    shell_complete=class_names,
+    help="Class to look for: its name or number. Default: the one that the world names.",
+)
 @click.option("--require-no-collision", is_flag=True, help="Exit with 3 if there was a collision.")
 @opt.figure_opt
 @opt.existing_options

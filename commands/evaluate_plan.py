@@ -8,16 +8,21 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from hrt_cli import options as opt
-from hrt_cli.artifacts.stage import Existing
 from hrt_cli.errors import DifferenceError
+from hrt_cli.manual import Command
 from hrt_cli.progress import Console
 
 if TYPE_CHECKING:
+    from hrt_cli.artifacts.stage import Existing
     from hrt_cli.evaluation.plans import PlanComparison
     from hrt_cli.evaluation.starts import StartsComparison
 
 
 @click.command(
+    cls=Command,
+    difference="a plan's fraction of the bound is less than --require",
+    keys=("plans", "planner", "baselines", "upper_bound", "discounted_upper_bound"),
+    see_also=("plan",),
     epilog="""\b
 Example:
   hrt synth site --scene meadow --size 40
@@ -25,10 +30,10 @@ Example:
   hrt scoremap site/classes.tif -o site/scoremap.tif
   hrt plan site/scoremap.tif -o site/plan.json --start auto --budget 200
   hrt evaluate plan site/scoremap.tif site/plan.json --figure site/rewards.png
-"""
+""",
 )
-@click.argument("scoremap", type=opt.PATH)
-@click.argument("plans", nargs=-1, required=True, type=opt.PATH)
+@click.argument("scoremap", type=opt.SCOREMAP)
+@click.argument("plans", nargs=-1, required=True, type=opt.PLAN)
 @click.option(
     "--planner/--no-planner",
     default=True,
@@ -41,7 +46,10 @@ Example:
     help="Also run every method from so many starts, drawn from the cells connected to the plan's start.",
 )
 @click.option(
-    "--seeds", type=click.IntRange(1, 100), help="Runs of each method from each of these starts.  [default: 1]"
+    "--seeds",
+    type=click.IntRange(1, 100),
+    show_default="1",
+    help="With --starts: runs of each method from each of them.",
 )
 @click.option(
     "--require",

@@ -3,28 +3,35 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
 from hrt_cli import options as opt
-from hrt_cli.artifacts.stage import Existing
+from hrt_cli.manual import Command
 from hrt_cli.progress import Console
+
+if TYPE_CHECKING:
+    from hrt_cli.artifacts.stage import Existing
 
 
 @click.command(
+    cls=Command,
+    keys=("ari", "nmi", "accuracy", "mean_iou", "boundary_f", "per_class", "matching", "confusion"),
+    see_also=("segment",),
     epilog="""\b
 Example:
   hrt synth site --scene meadow --size 40
   hrt segment site/ortho.tif -o site/classes.tif --classes 6
   hrt evaluate segment site/classes.tif site/truth.tif --figure site/agreement.png
-"""
+""",
 )
-@click.argument("classes", type=opt.PATH)
-@click.argument("truth", type=opt.PATH)
+@click.argument("classes", type=opt.CLASSES)
+@click.argument("truth", type=opt.CLASSES)
 @click.option(
     "--tolerance-m",
     type=opt.FiniteFloat(0),
-    help="How far boundaries may lie apart, m. Default: 0.5, or one pixel where that is more; "
+    help="How far boundaries may lie apart. Default: 0.5, or one pixel where that is more; "
     "with --unreferenced in pixels, 0.75 % of the diagonal.",
 )
 @opt.unreferenced_opt

@@ -9,25 +9,41 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from hrt_cli import options as opt
-from hrt_cli.artifacts.stage import Existing
 from hrt_cli.errors import DifferenceError
+from hrt_cli.manual import Command
 from hrt_cli.progress import Console
 
 if TYPE_CHECKING:
+    from hrt_cli.artifacts.stage import Existing
     from hrt_cli.evaluation.steering import SteerMeasure
 
 
 @click.command(
+    cls=Command,
+    difference="the model is worse than --require-mae or --require-better-than-constant allow",
+    keys=(
+        "mae",
+        "rmse",
+        "accuracy",
+        "nll",
+        "ece",
+        "constant_baseline_mae",
+        "frames",
+        "skipped",
+        "constant",
+        "sessions",
+    ),
+    see_also=("train-steer", "steer"),
     epilog="""\b
 Example:
   hrt synth site --scene meadow --size 30
   hrt drive --world site --roam 30 --local expert --disturb 0.3 --record site/frames -o site/drive.jsonl
   hrt train-steer site/frames -o site/steer.safetensors --size 64x48 --epochs 1
   hrt evaluate steer site/steer.safetensors site/frames --figure site/steer.png
-"""
+""",
 )
-@click.argument("model", type=opt.PATH)
-@click.argument("data", nargs=-1, required=True, type=opt.PATH)
+@click.argument("model", type=opt.ANY_STEERING)
+@click.argument("data", nargs=-1, required=True, type=opt.FOLDER)
 @click.option("--require-mae", type=opt.FiniteFloat(0), help="Exit with 3 if the mean absolute error is larger.")
 @click.option(
     "--require-better-than-constant",

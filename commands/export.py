@@ -4,16 +4,29 @@ from __future__ import annotations
 
 from dataclasses import asdict
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import click
 
 from hrt_cli import options as opt
-from hrt_cli.artifacts.stage import Existing
+from hrt_cli.manual import Command
 from hrt_cli.progress import Console
+
+if TYPE_CHECKING:
+    from hrt_cli.artifacts.stage import Existing
 
 
 @click.command(
+    cls=Command,
+    sections={
+        "Robot": "--vehicle --firmware --speed --altitude --depth --above-bottom --hold",
+        "Waypoints": "--tolerance --spacing --max-items --scoremap",
+        "Areas": "--aoi --keep-out",
+        "Frame": "--local-frame --datum",
+        "Output": "--format",
+    },
+    keys=("output", "format", "missions", "notes"),
+    see_also=("plan",),
     epilog="""\b
 Example:
   hrt synth site --scene meadow --size 40
@@ -22,10 +35,10 @@ Example:
   hrt plan site/scoremap.tif -o site/plan.json --start auto --budget 200
   hrt export site/plan.json -o site/rover.plan --vehicle rover --speed 1.0
   hrt export site/plan.json -o site/nav2 --format nav2 --scoremap site/scoremap.tif
-"""
+""",
 )
-@click.argument("plan", type=opt.PATH)
-@opt.output_opt
+@click.argument("plan", type=opt.PLAN)
+@opt.output("MISSION")
 @click.option(
     "--format",
     "format_name",
@@ -44,28 +57,36 @@ Example:
     type=click.Choice(["ardupilot", "px4"]),
     default="ardupilot",
     show_default=True,
-    help="What runs on it.",
+    help="What runs on its autopilot.",
 )
-@click.option("--speed", "speed_m_s", type=opt.FiniteFloat(0.01, 50), help="Speed in m/s. Default: the plan's.")
+@click.option("--speed", "speed_m_s", type=opt.FiniteFloat(0.01, 50), help="Speed to drive at. Default: the plan's.")
 @click.option(
     "--altitude",
     "altitude_m",
     type=opt.FiniteFloat(-11_000, 10_000),
-    help="Altitude above home in metres; a submarine's depth is negative. Default: 0.",
+    help="Altitude above home; a submarine's depth is negative. Default: 0.",
 )
 @click.option(
     "--depth",
     "depth_m",
     type=opt.FiniteFloat(0, 11_000, low_open=True),
-    help="Depth below home, m: the same as a negative --altitude.",
+    help="Depth below home: the same as a negative --altitude.",
 )
 @click.option(
     "--above-bottom",
     "above_bottom_m",
     type=opt.FiniteFloat(0, 11_000, low_open=True),
-    help="Height of a submarine above the bottom, m, in place of a depth: it needs a sounder.",
+    help="Height of a submarine above the bottom, in place of a depth: it needs a sounder.",
 )
-@click.option("--hold", "hold_s", type=click.IntRange(0, 3600), default=0, show_default=True, help="Wait, s.")
+@click.option(
+    "--hold",
+    "hold_s",
+    type=click.IntRange(0, 3600),
+    default=0,
+    show_default=True,
+    metavar="SECONDS",
+    help="Wait at each waypoint.",
+)
 @click.option(
     "--tolerance",
     "tolerance_m",
@@ -74,21 +95,26 @@ Example:
     show_default=True,
     help="Leave out waypoints where the straight way stays within so many metres of the plan, and off what is no-go.",
 )
-@click.option("--spacing", "spacing_m", type=opt.FiniteFloat(0.1), help="At most so many metres between waypoints.")
+@click.option(
+    "--spacing",
+    "spacing_m",
+    type=opt.FiniteFloat(0.1),
+    help="Most distance between waypoints: longer legs get more of them.",
+)
 @click.option("--max-items", type=click.IntRange(1), help="Most mission items. Default: what the autopilot stores.")
 @click.option(
     "--scoremap",
     "scoremap_path",
-    type=opt.PATH,
+    type=opt.SCOREMAP,
     help="The plan's scoremap: straight ways may lead through all of its open cells, and Nav2 gets it as maps.",
 )
-@click.option("--aoi", "aoi_path", type=opt.PATH, help="Area that no leg may leave (GeoJSON, KML): a .plan's geofence.")
+@click.option("--aoi", "aoi_path", type=opt.AREA, help="Area that no leg may leave (GeoJSON, KML): a .plan's geofence.")
 @click.option(
     "--keep-out",
     "keep_outs",
-    type=opt.PATH,
+    type=opt.AREA,
     multiple=True,
-    help="Area that no leg may enter: a .plan's geofence. May be repeated.",
+    help="Area that no leg may enter: a .plan's geofence.",
 )
 @click.option(
     "--local-frame",
@@ -96,7 +122,7 @@ Example:
     type=click.Choice(["utm", "enu"]),
     default="utm",
     show_default=True,
-    help="Of the formats in metres (nav2, moos): UTM less the datum, or metres to its true east and north.",
+    help="Frame of the formats in metres (nav2, moos): UTM less the datum, or metres to its true east and north.",
 )
 @click.option("--datum", type=opt.LonLat(), help="Origin of the local frame. Default: the map's south-west corner.")
 @opt.existing_options

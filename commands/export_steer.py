@@ -9,15 +9,19 @@ from typing import TYPE_CHECKING
 import click
 
 from hrt_cli import options as opt
-from hrt_cli.artifacts.stage import Existing
+from hrt_cli.manual import Command
 from hrt_cli.progress import Console
 
 if TYPE_CHECKING:
+    from hrt_cli.artifacts.stage import Existing
     from hrt_cli.steering.onnx.export import SteerExport
 
 
 @click.command(
     "export-steer",
+    cls=Command,
+    keys=("output", "up_to_date", "precision", "size_bytes", "comparison"),
+    see_also=("train-steer", "steer"),
     epilog="""\b
 Example:
   hrt synth site --scene meadow --size 30
@@ -26,15 +30,15 @@ Example:
   hrt export-steer site/steer.safetensors -o site/steer.onnx --int8 --calibrate site/frames
 """,
 )
-@click.argument("model", type=opt.PATH)
-@opt.output_opt
+@click.argument("model", type=opt.STEERING)
+@opt.output("MODEL.onnx")
 @click.option("--int8", is_flag=True, help="In 8-bit integers: a quarter of the size, about twice as fast.")
 @click.option(
     "--calibrate",
     "calibration",
     multiple=True,
     type=opt.PATH,
-    help="Folder of recordings, or a picture file, to calibrate --int8 on and to compare on (repeatable).",
+    help="Folder of recordings, or a picture file, to calibrate --int8 on and to compare on.",
 )
 @opt.skip_bad_opt
 @opt.existing_options

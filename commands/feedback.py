@@ -9,11 +9,12 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import click
 
 from hrt_cli import options as opt
-from hrt_cli.artifacts.stage import Existing
 from hrt_cli.errors import ArgumentError
+from hrt_cli.manual import Command
 from hrt_cli.progress import Console
 
 if TYPE_CHECKING:
+    from hrt_cli.artifacts.stage import Existing
     from hrt_cli.drivability.feedback import Curve
     from hrt_cli.drivability.feedback_stage import FeedbackSummary
 
@@ -30,12 +31,19 @@ def _curve(ctx: click.Context, param: click.Parameter, value: str) -> Curve:
 F = TypeVar("F", bound=Callable[..., Any])
 
 
-def _positive(name: str, default: float | None, text: str) -> Callable[[F], F]:
+def _positive(name: str, unit: str, default: float | None, text: str) -> Callable[[F], F]:
     kind = opt.FiniteFloat(0, low_open=True)
-    return click.option(name, type=kind, default=default, show_default=default is not None, help=text)
+    return click.option(name, type=kind, metavar=unit, default=default, show_default=default is not None, help=text)
 
 
 @click.command(
+    cls=Command,
+    sections={
+        "Evidence": "--commanded --curve --event-weight --robot-radius --gap --forget-m",
+        "Terrain": "--dsm --slope-limit --rugosity-limit",
+    },
+    keys=("output", "up_to_date", "scores", "logs", "evidence_m", "off_map_m", "events", "notes"),
+    see_also=("drive", "scoremap", "inspect"),
     epilog="""\b
 Example:
   hrt synth site --scene meadow --size 40
@@ -44,14 +52,16 @@ Example:
   hrt plan site/scoremap.tif -o site/plan.json --start auto --budget 3min
   hrt drive site/plan.json --world site -o site/drive.jsonl
   hrt feedback site/drive.jsonl --classes site/classes.tif -o site/scores.json
-"""
+""",
 )
-@click.argument("logs", nargs=-1, required=True, type=opt.PATH)
-@click.option("--classes", required=True, type=opt.PATH, help="The class raster that was driven over.")
-@click.option("--scores", "scores_path", type=opt.PATH, help="Score table to go on from. Default: nothing is known.")
-@opt.output_opt
-@click.option("--dsm", type=opt.PATH, help="Surface model, heights in metres: steep and rough ground counts less.")
-@_positive("--commanded", None, "Commanded speed, m/s, where a log does not tell it. Default: estimated from the log.")
+@click.argument("logs", nargs=-1, required=True, type=opt.LOG)
+@click.option("--classes", required=True, type=opt.CLASSES, help="The class raster that was driven over.")
+@click.option("--scores", "scores_path", type=opt.SCORES, help="Score table to go on from. Default: nothing is known.")
+@opt.output("SCORES.json")
+@click.option("--dsm", type=opt.DSM, help="Surface model, heights in metres: steep and rough ground counts less.")
+@_positive(
+    "--commanded", "M/S", None, "Commanded speed, where a log does not tell it. Default: estimated from the log."
+)
 @click.option(
     "--curve",
     default="0:0,1:1",
@@ -62,16 +72,19 @@ Example:
 )
 @click.option(
     "--event-weight",
+    metavar="METRES",
     type=opt.FiniteFloat(0),
     default=5.0,
     show_default=True,
-    help="Metres without progress that a collision or a standstill counts for, however long it lasts.",
+    help="How far without progress a collision or a standstill counts, however long it lasts.",
 )
-@_positive("--robot-radius", 0.35, "Radius of the robot, m, where a log does not tell it.")
-@_positive("--gap", 10.0, "Records farther apart, s, have no drive between them.")
-@_positive("--slope-limit", 35.0, "With --dsm: slope, degrees, on which progress counts nothing.")
-@_positive("--rugosity-limit", 0.3, "With --dsm: deviation of heights, m, at which progress counts nothing.")
-@_positive("--forget-m", None, "Older evidence of a class counts half after so many metres of new. Default: never.")
+@_positive("--robot-radius", "METRES", 0.35, "Radius of the robot, where a log does not tell it.")
+@_positive("--gap", "SECONDS", 10.0, "Records farther apart have no drive between them.")
+@_positive("--slope-limit", "DEGREES", 35.0, "With --dsm: slope on which progress counts nothing.")
+@_positive("--rugosity-limit", "METRES", 0.3, "With --dsm: deviation of heights at which progress counts nothing.")
+@_positive(
+    "--forget-m", "METRES", None, "Older evidence of a class counts half after so many metres of new. Default: never."
+)
 @opt.existing_options
 @opt.console_options
 def feedback(

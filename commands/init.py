@@ -3,22 +3,29 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
 from hrt_cli import options as opt
-from hrt_cli.artifacts.stage import Existing
+from hrt_cli.manual import Command
 from hrt_cli.progress import Console
+
+if TYPE_CHECKING:
+    from hrt_cli.artifacts.stage import Existing
 
 
 @click.command(
+    cls=Command,
+    keys=("output", "files", "up_to_date"),
+    see_also=("synth", "inspect"),
     epilog="""\b
 Example:
   hrt init survey
   # put your orthomosaic at survey/ortho.tif, then: make -C survey
-"""
+""",
 )
-@click.argument("folder", type=opt.PATH)
+@click.argument("folder", type=opt.File("FOLDER", writes=True))
 @opt.existing_options
 @opt.console_options
 def init(folder: Path, existing: Existing, console: Console) -> None:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from hrt_cli import options as opt
+from hrt_cli.manual import Command
 from hrt_cli.progress import Console
 
 if TYPE_CHECKING:
@@ -16,14 +17,17 @@ if TYPE_CHECKING:
 
 
 @click.command(
+    cls=Command,
+    keys=("notes",),
+    see_also=("segment", "scoremap", "plan", "feedback"),
     epilog="""\b
 Example:
   hrt synth site --scene meadow --size 40
   hrt inspect site/ortho.tif
   hrt inspect site
-"""
+""",
 )
-@click.argument("rasters", type=opt.PATH, nargs=-1, required=True, metavar="RASTER...")
+@click.argument("rasters", type=opt.RASTER_OR_LOG, nargs=-1, required=True, metavar="RASTER...")
 @opt.bands_opt
 @opt.nodata_opt
 @opt.unreferenced_opt

@@ -8,17 +8,41 @@ from typing import TYPE_CHECKING, Literal, cast
 import click
 
 from hrt_cli import options as opt
-from hrt_cli.artifacts.stage import Existing
+from hrt_cli.manual import Command
 from hrt_cli.progress import Console
 
 if TYPE_CHECKING:
     from hrt_cli.artifacts.plan import PlanDocument, TeamPlanDocument
+    from hrt_cli.artifacts.stage import Existing
     from hrt_cli.planning.stage import Planned
 
 METHODS = ("refined", "policy", "policy-sample", "greedy", "rectangle", "lawnmower", "spiral", "random")
 
 
 @click.command(
+    cls=Command,
+    sections={
+        "Way": "--start --end --return-home --budget --speed --connectivity",
+        "Team and earlier drives": "--robots --visited --or-stay",
+        "Planner": "--method --objective --gamma --policy --effort --samples --seed",
+    },
+    files="With --robots, the plans of the robots stand beside the output, as PLAN-1.json, PLAN-2.json, ...",
+    keys=(
+        "output",
+        "up_to_date",
+        "method",
+        "score",
+        "discounted_score",
+        "upper_bound",
+        "gap",
+        "steps",
+        "length_m",
+        "time_s",
+        "start",
+        "waypoints",
+        "seconds",
+    ),
+    see_also=("scoremap", "export", "evaluate plan", "drive"),
     epilog="""\b
 Example:
   hrt synth site --scene meadow --size 40
@@ -26,18 +50,30 @@ Example:
   hrt scoremap site/classes.tif -o site/scoremap.tif
   hrt plan site/scoremap.tif -o site/plan.json --start auto --budget 200
   hrt plan site/scoremap.tif -o site/team.json --start auto --budget 100 --robots 2 --return-home
-"""
+""",
 )
-@click.argument("scoremap", type=opt.PATH)
-@opt.output_opt
+@click.argument("scoremap", type=opt.SCOREMAP)
+@opt.output("PLAN.json")
 @click.option(
     "--start",
     "starts",
+    metavar="PLACE",
     multiple=True,
     help="cell:ROW,COL, lonlat:LON,LAT, xy:X,Y (the map's CRS), or auto; with --robots once, or once for each.",
 )
-@click.option("--budget", required=True, help="Steps (250), metres (400m) or minutes (15min, with --speed).")
-@click.option("--method", type=click.Choice(METHODS), default="refined", show_default=True, help="Who plans.")
+@click.option(
+    "--budget",
+    metavar="BUDGET",
+    required=True,
+    help="Steps (250), metres (400m) or minutes (15min, with --speed).",
+)
+@click.option(
+    "--method",
+    type=click.Choice(METHODS),
+    default="refined",
+    show_default=True,
+    help="refined collects the most; the others are to compare with.",
+)
 @click.option(
     "--objective",
     type=click.Choice(["total", "discounted"]),
@@ -48,9 +84,17 @@ Example:
 @click.option(
     "--gamma", type=opt.FiniteFloat(0, 1, low_open=True), default=0.99, show_default=True, help="Discount per step."
 )
-@click.option("--connectivity", type=click.Choice(["4", "8"]), default="4", show_default=True, help="Neighbours.")
+@click.option(
+    "--connectivity",
+    type=click.Choice(["4", "8"]),
+    default="4",
+    show_default=True,
+    help="Cells beside one that a move leads to.",
+)
 @click.option("--return-home", is_flag=True, help="End where the path starts.")
-@click.option("--end", "ends", multiple=True, help="Where the path must end, as for --start. Default: anywhere.")
+@click.option(
+    "--end", "ends", metavar="PLACE", multiple=True, help="Where the path must end, as for --start. Default: anywhere."
+)
 @click.option(
     "--robots",
     type=click.IntRange(1, 64),
@@ -60,7 +104,7 @@ Example:
 )
 @click.option(
     "--visited",
-    type=opt.PATH,
+    type=opt.LOG,
     multiple=True,
     help="Log (any that `hrt inspect` takes) of a drive to go on from: cells it went through pay nothing, what it "
     "spent is taken off the budget, cells where it got stuck become no-go; one for all robots, one for each, or all "
@@ -75,14 +119,14 @@ Example:
     type=opt.FiniteFloat(0.01, 50),
     default=1.0,
     show_default=True,
-    help="The robot's speed in m/s.",
+    help="Speed of the robot, for a budget in minutes and the time it takes.",
 )
 @click.option(
     "--policy",
     "policy_paths",
-    type=opt.PATH,
+    type=opt.POLICY,
     multiple=True,
-    help="Policy (.npz, repeatable: the best walk of all counts). Default: the two that ship with hrt.",
+    help="Trained policy: of several the best walk counts. Default: the two that ship with hrt.",
 )
 @click.option(
     "--effort", type=opt.FiniteFloat(0.01, 1000), default=1.0, show_default=True, help="Compute spent on refinement."

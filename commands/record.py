@@ -4,24 +4,31 @@ from __future__ import annotations
 
 from dataclasses import asdict
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
 from hrt_cli import options as opt
-from hrt_cli.artifacts.stage import Existing
+from hrt_cli.manual import Command
 from hrt_cli.progress import Console
+
+if TYPE_CHECKING:
+    from hrt_cli.artifacts.stage import Existing
 
 
 @click.command(
+    cls=Command,
+    keys=("output", "up_to_date", "frames", "near", "resumed_at"),
+    see_also=("drive", "train-steer"),
     epilog="""\b
 Example:
   hrt synth site --scene meadow --size 30
   hrt record site -o site/glances --frames 200
-"""
+""",
 )
-@click.argument("world", type=opt.PATH)
-@click.option("-o", "--output", required=True, type=opt.PATH, help="Folder for frames and labels.csv, to train on.")
-@click.option("--frames", type=click.IntRange(1, 1_000_000), default=10_000, show_default=True, help="How many.")
+@click.argument("world", type=opt.FOLDER)
+@opt.output("FOLDER", "Folder for frames and labels.csv, to train on.")
+@click.option("--frames", type=click.IntRange(1, 1_000_000), default=10_000, show_default=True, help="Frames to make.")
 @click.option(
     "--near",
     type=opt.FiniteFloat(0, 1),
@@ -30,7 +37,9 @@ Example:
     help="Share of the frames with something in the way: a drive shows mostly open ground.",
 )
 @click.option(
-    "--vehicle", type=click.Choice(["ugv", "auv"]), help="Default: auv where the site is under water, else ugv."
+    "--vehicle",
+    type=click.Choice(["ugv", "auv"]),
+    help="ugv drives on the ground, auv swims. Default: auv where the site is under water, else ugv.",
 )
 @opt.seed_opt
 @opt.existing_options

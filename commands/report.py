@@ -8,10 +8,15 @@ import click
 
 from hrt_cli import options as opt
 from hrt_cli.artifacts.stage import Existing
+from hrt_cli.manual import Command
 from hrt_cli.progress import Console
 
 
 @click.command(
+    cls=Command,
+    sections={"Page": "--title --world --detail --frames"},
+    keys=("output", "up_to_date", "bytes", "sites", "layers", "plans", "drives", "charts", "problems"),
+    see_also=("evaluate", "verify"),
     epilog="""\b
 Example:
   hrt synth site --scene meadow --size 40
@@ -20,13 +25,15 @@ Example:
   hrt plan site/scoremap.tif -o site/plan.json --start auto --budget 100
   hrt drive site/plan.json --world site -o site/drive.jsonl
   hrt report site -o report.html
-"""
+""",
 )
 @click.argument("paths", nargs=-1, required=True, type=opt.PATH)
-@opt.output_opt
+@opt.output("REPORT.html")
 @click.option("--title", default="", help="Title of the page. Default: the folder's name.")
 @click.option(
-    "--world", type=opt.PATH, help="Site (ortho.tif, dsm.tif) on which to show what a robot saw whose own is not here."
+    "--world",
+    type=opt.FOLDER,
+    help="Site (ortho.tif, dsm.tif) on which to show what a robot saw whose own is not here.",
 )
 @click.option(
     "--detail",

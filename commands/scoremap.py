@@ -4,16 +4,29 @@ from __future__ import annotations
 
 from dataclasses import asdict
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import click
 
 from hrt_cli import options as opt
-from hrt_cli.artifacts.stage import Existing
+from hrt_cli.manual import Command
 from hrt_cli.progress import Console
+
+if TYPE_CHECKING:
+    from hrt_cli.artifacts.stage import Existing
 
 
 @click.command(
+    cls=Command,
+    sections={
+        "Score": "--scores --unknown-as-prior --explore",
+        "No-go": "--no-go-below --no-go-share --margin",
+        "Areas": "--aoi --keep-out",
+        "Interest": "--interest --interest-range --interest-cell --interest-weight --interest-radius --thermal-units",
+        "Terrain": "--dsm --slope-limit --rugosity-limit",
+    },
+    keys=("output", "up_to_date", "rows", "cols", "cell_size_m", "go_cells", "mean_score", "seconds", "notes"),
+    see_also=("segment", "feedback", "plan"),
     epilog="""\b
 Example:
   hrt synth site --scene meadow --size 40
@@ -21,16 +34,26 @@ Example:
   hrt scoremap site/classes.tif -o site/scoremap.tif --cell 1.0
   hrt scoremap site/classes.tif -o site/inside.tif --cell 0.5 --aoi site/aoi.geojson --margin 1
   hrt scoremap site/classes.tif -o site/safe.tif --dsm site/dsm.tif
-"""
+""",
 )
-@click.argument("classes", type=opt.PATH)
-@opt.output_opt
-@click.option("--scores", "scores_path", type=opt.PATH, help="Score table (JSON). Default: 0.5 for every class.")
+@click.argument("classes", type=opt.CLASSES)
+@opt.output("SCOREMAP.tif")
+@click.option(
+    "--scores",
+    "scores_path",
+    type=opt.SCORES,
+    help="Score table: how drivable each class is. Default: 0.5 for every class.",
+)
 @click.option(
     "--unknown-as-prior", is_flag=True, help="Classes that the table does not name count 0.5, and are least certain."
 )
 @click.option(
-    "--cell", "cell_m", type=opt.FiniteFloat(0, low_open=True), default=1.0, show_default=True, help="Cell side, m."
+    "--cell",
+    "cell_m",
+    type=opt.FiniteFloat(0, low_open=True),
+    default=1.0,
+    show_default=True,
+    help="Side of a cell on the ground.",
 )
 @click.option(
     "--explore",
@@ -51,44 +74,48 @@ Example:
     "--margin",
     "margin_m",
     type=opt.FiniteFloat(0),
-    help="No-go are also cells so near, m, to those of --no-go-below, as the borders of classes are not sharp, to a "
-    "--keep-out and to the edge of the --aoi.",
+    help="No-go are also cells as near as this to those of --no-go-below, as the borders of classes are not sharp, "
+    "to a --keep-out and to the edge of the --aoi.",
 )
 @click.option(
-    "--aoi", type=opt.PATH, help="No-go are cells not wholly inside the polygons of this GeoJSON or KML file."
+    "--aoi", type=opt.AREA, help="No-go are cells not wholly inside the polygons of this GeoJSON or KML file."
 )
-@click.option(
-    "--keep-out", type=opt.PATH, multiple=True, help="No-go are cells that its polygons touch. May be repeated."
-)
-@click.option("--interest", "interest_path", type=opt.PATH, help="Raster of what the mission looks for, as heat.")
+@click.option("--keep-out", type=opt.AREA, multiple=True, help="No-go are cells that its polygons touch.")
+@click.option("--interest", "interest_path", type=opt.RASTER, help="Raster of what the mission looks for, as heat.")
 @click.option(
     "--interest-range",
     type=opt.Range(),
-    help="Its values that count 0 and 1. Default: median and maximum of the cells to go.",
+    help="Values of --interest that count 0 and 1. Default: median and maximum of the cells to go.",
 )
-@click.option("--interest-cell", type=click.Choice(["max", "mean"]), help="Of the pixels in a cell. Default: max.")
+@click.option(
+    "--interest-cell",
+    type=click.Choice(["max", "mean"]),
+    help="Which of the pixels of --interest in a cell counts. Default: max.",
+)
 @click.option(
     "--interest-weight",
     type=opt.FiniteFloat(0, 1, low_open=True),
-    help="How much of the score depends on it, up to 1. Default: 1.",
+    help="How much of the score depends on --interest. Default: 1, all.",
 )
 @click.option(
     "--interest-radius",
     "interest_radius_m",
     type=opt.FiniteFloat(0, low_open=True),
-    help="From how far a cell is sampled, m: a hot spot counts at the nearest cell to go. Default: from within.",
+    help="From how far a cell is sampled: a hot spot counts at the nearest cell to go. Default: from within.",
 )
 @click.option(
     "--thermal-units",
     type=click.Choice(["celsius", "kelvin", "centikelvin", "auto"]),
     help="What --interest is in: values and --interest-range are then degrees Celsius; auto takes what is certain.",
 )
-@click.option("--dsm", "dsm_path", type=opt.PATH, help="Surface model, heights in metres: steep and rough ground.")
+@click.option(
+    "--dsm", "dsm_path", type=opt.DSM, help="Surface model, heights in metres: steep and rough ground scores less."
+)
 @click.option(
     "--slope-limit",
     "slope_limit_deg",
     type=opt.FiniteFloat(0, 90, low_open=True),
-    help="With --dsm: slope, degrees, from which a cell is no-go. Default: 35.",
+    help="With --dsm: slope from which a cell is no-go. Default: 35.",
 )
 @click.option(
     "--rugosity-limit",

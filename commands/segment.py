@@ -8,26 +8,53 @@ from typing import TYPE_CHECKING, Literal
 import click
 
 from hrt_cli import options as opt
-from hrt_cli.artifacts.stage import Existing
+from hrt_cli.manual import Command
 from hrt_cli.progress import Console
 
 if TYPE_CHECKING:
+    from hrt_cli.artifacts.stage import Existing
     from hrt_cli.texture.stage import Segmentation
 
 
 @click.command(
+    cls=Command,
+    sections={
+        "Model": "--model --grow --model-out",
+        "Texture": "--features --rotation --scale-invariant --wavelengths --seed",
+        "Input": "--aoi --bands --nodata --unreferenced",
+        "Computing": "--workers --dask --block",
+    },
+    files="CLASSES.qml, beside the output, gives the classes their colours in QGIS.",
+    keys=(
+        "output",
+        "up_to_date",
+        "classes",
+        "class_fractions",
+        "pixels",
+        "valid_pixels",
+        "seconds",
+        "megapixels_per_second",
+        "notes",
+    ),
+    see_also=("inspect", "scoremap", "evaluate segment"),
     epilog="""\b
 Example:
   hrt synth site --scene meadow --size 40
   hrt segment site/ortho.tif -o site/classes.tif --classes 5 --figure site/classes.png
-"""
+""",
 )
-@click.argument("ortho", type=opt.PATH, nargs=-1, required=True)
-@opt.output_opt
-@click.option("-K", "--classes", type=opt.ClassCount(), help="Number of texture classes, 2 to 255, or auto.")
-@click.option("--model", "model_path", type=opt.PATH, help="Apply this texture model instead of fitting one.")
+@click.argument("ortho", type=opt.RASTER, nargs=-1, required=True)
+@opt.output("CLASSES.tif")
+@click.option("-K", "--classes", type=opt.ClassCount(), help="Number of texture classes; auto chooses from 2 to 12.")
+@click.option(
+    "--model", "model_path", type=opt.File("MODEL.npz"), help="Apply this texture model instead of fitting one."
+)
 @click.option("--grow", is_flag=True, help="With --model: what it has never seen becomes new classes after its own.")
-@click.option("--model-out", type=opt.PATH, help="Keep the texture model that was fitted or grown here (.npz).")
+@click.option(
+    "--model-out",
+    type=opt.File("MODEL.npz", writes=True),
+    help="Also write the texture model that was fitted or grown.",
+)
 @click.option(
     "--features",
     type=click.Choice(["site", "paper", "texture"]),
@@ -40,18 +67,29 @@ Example:
     type=click.Choice(["invariant", "aware", "sorted"]),
     default="invariant",
     show_default=True,
-    help="Whether a texture turned is the same texture.",
+    help="invariant: a texture turned is the same texture. aware: it is another. sorted: the same, by ranks.",
 )
 @click.option("--scale-invariant", is_flag=True, help="A texture seen larger is the same texture.")
-@click.option("--wavelengths", callback=lambda ctx, param, value: _lengths(value), help="Gabor wavelengths in metres.")
-@click.option("--aoi", type=opt.PATH, help="Clip to the polygons of this GeoJSON or KML file.")
+@click.option(
+    "--wavelengths",
+    metavar="METRES,...",
+    callback=lambda ctx, param, value: _lengths(value),
+    help="Wavelengths of the Gabor filters on the ground. Default: 4, 8, 16 and 32 pixels.",
+)
+@click.option("--aoi", type=opt.AREA, help="Clip to the polygons of this GeoJSON or KML file.")
 @opt.bands_opt
 @opt.nodata_opt
 @opt.unreferenced_opt
 @opt.seed_opt
 @opt.workers_opt
 @click.option("--dask", metavar="ADDRESS", help="Measure on the Dask cluster of this scheduler (tcp://HOST:PORT).")
-@click.option("--block", type=click.IntRange(64, 4096), default=1024, show_default=True, help="Block side in pixels.")
+@click.option(
+    "--block",
+    type=click.IntRange(64, 4096),
+    default=1024,
+    show_default=True,
+    help="Side of the blocks worked on at a time, pixels. The result does not depend on it.",
+)
 @opt.creation_opt
 @opt.figure_opt
 @opt.existing_options

@@ -3,27 +3,50 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
 from hrt_cli import options as opt
-from hrt_cli.artifacts.stage import Existing
+from hrt_cli.manual import Command
 from hrt_cli.progress import Console
+
+if TYPE_CHECKING:
+    from hrt_cli.artifacts.stage import Existing
 
 
 @click.command(
+    cls=Command,
+    sections={
+        "Output": "--overlay --saliency",
+    },
+    keys=(
+        "output",
+        "overlay",
+        "up_to_date",
+        "frames",
+        "skipped",
+        "passes",
+        "two_ways",
+        "mean",
+        "mean_spread",
+        "seconds",
+    ),
+    see_also=("train-steer", "evaluate steer"),
     epilog="""\b
 Example:
   hrt synth site --scene meadow --size 30
   hrt drive --world site --roam 30 --local expert --disturb 0.3 --record site/frames -o site/drive.jsonl
   hrt train-steer site/frames -o site/steer.safetensors --size 64x48 --epochs 1
   hrt steer site/steer.safetensors site/frames -o site/steering.json --overlay site/seen --saliency
-"""
+""",
 )
-@click.argument("model", type=opt.PATH)
+@click.argument("model", type=opt.ANY_STEERING)
 @click.argument("inputs", nargs=-1, required=True, type=opt.PATH)
-@opt.output_opt
-@click.option("--overlay", type=opt.PATH, help="Folder for each frame with its prediction drawn in.")
+@opt.output("STEERING.json")
+@click.option(
+    "--overlay", type=opt.File("FOLDER", writes=True), help="Folder for each frame with its prediction drawn in."
+)
 @click.option("--saliency", is_flag=True, help="With --overlay: show what in the picture turned yaw left and right.")
 @click.option(
     "--passes",
@@ -36,12 +59,18 @@ Example:
     "--goal",
     "goal_deg",
     type=opt.FiniteFloat(-180, 180),
-    help="Bearing to go to, in degrees, right positive, for frames whose labels give none.",
+    help="Bearing to go to, right positive, for frames whose labels give none.",
 )
 @click.option(
     "--every", type=click.IntRange(1, 1_000_000), default=1, show_default=True, help="Of videos, take each Nth frame."
 )
-@click.option("--batch", type=click.IntRange(1, 1024), default=16, show_default=True, help="Pictures at a time.")
+@click.option(
+    "--batch",
+    type=click.IntRange(1, 1024),
+    default=16,
+    show_default=True,
+    help="Pictures that the network sees at a time.",
+)
 @opt.skip_bad_opt
 @opt.seed_opt
 @opt.existing_options

@@ -3,21 +3,28 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
 from hrt_cli import options as opt
-from hrt_cli.artifacts.stage import Existing
+from hrt_cli.manual import Command
 from hrt_cli.progress import Console
+
+if TYPE_CHECKING:
+    from hrt_cli.artifacts.stage import Existing
 
 
 @click.command(
+    cls=Command,
+    keys=("output", "up_to_date", "scene", "files", "classes", "rows", "cols"),
+    see_also=("init", "segment", "drive"),
     epilog="""\b
 Example:
   hrt synth site --scene wildfire --size 40 --seed 3
-"""
+""",
 )
-@click.argument("folder", type=opt.PATH)
+@click.argument("folder", type=opt.File("FOLDER", writes=True))
 @click.option(
     "--scene",
     type=click.Choice(["meadow", "wildfire", "reef"]),
@@ -26,10 +33,10 @@ Example:
     help="What grows, burns or lives there.",
 )
 @click.option(
-    "--size", "size_m", type=opt.FiniteFloat(5, 500), default=60.0, show_default=True, help="Side of the site, m."
+    "--size", "size_m", type=opt.FiniteFloat(5, 500), default=60.0, show_default=True, help="Side of the site."
 )
 @click.option(
-    "--pixel", "pixel_m", type=opt.FiniteFloat(0.01, 0.5), default=0.05, show_default=True, help="Pixel side, m."
+    "--pixel", "pixel_m", type=opt.FiniteFloat(0.01, 0.5), default=0.05, show_default=True, help="Side of a pixel."
 )
 @opt.seed_opt
 @opt.existing_options

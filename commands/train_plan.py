@@ -3,25 +3,47 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
 from hrt_cli import options as opt
-from hrt_cli.artifacts.stage import Existing
+from hrt_cli.manual import Command
 from hrt_cli.progress import Console
+
+if TYPE_CHECKING:
+    from hrt_cli.artifacts.stage import Existing
 
 FAMILIES = ("gaussians", "noise", "classes", "obstacles", "speckle", "islands", "trails")
 
 
 @click.command(
     "train-plan",
+    cls=Command,
+    sections={
+        "Maps": "--family --map-side --maps-per-iteration --eight",
+        "Training": "--estimator --features --iterations --rollouts --budget --learning-rate --trace-decay --seed",
+        "Output": "--curve",
+    },
+    files=".OUTPUT.hrt-checkpoint, beside the output, keeps a training that was stopped.",
+    keys=(
+        "output",
+        "up_to_date",
+        "resumed_at",
+        "steps",
+        "steps_per_second",
+        "seconds",
+        "final_share",
+        "learning_curve",
+    ),
+    see_also=("plan",),
     epilog="""\b
 Example:
   hrt train-plan -o policy.npz --iterations 20 --seed 1 --curve curve.png
 """,
 )
-@click.argument("scoremaps", nargs=-1, type=opt.PATH)
-@opt.output_opt
+@click.argument("scoremaps", nargs=-1, type=opt.SCOREMAP)
+@opt.output("POLICY.npz")
 @click.option(
     "--estimator",
     type=click.Choice(["gpomdp", "reinforce"]),
@@ -44,10 +66,10 @@ Example:
     type=click.IntRange(1, 10_000),
     default=8,
     show_default=True,
-    help="Each with its own start.",
+    help="Maps of an iteration, each with its own start.",
 )
-@click.option("--rollouts", type=click.IntRange(2, 10_000), default=16, show_default=True, help="On each map.")
-@click.option("--budget", type=click.IntRange(1, 100_000), default=250, show_default=True, help="Steps of a rollout.")
+@click.option("--rollouts", type=click.IntRange(2, 10_000), default=16, show_default=True, help="Rollouts on each map.")
+@click.option("--budget", type=click.IntRange(1, 100_000), default=250, show_default=True, help="Moves of a rollout.")
 @click.option(
     "--learning-rate",
     type=opt.FiniteFloat(0, 100, low_open=True),
@@ -74,11 +96,15 @@ Example:
     "families",
     multiple=True,
     type=click.Choice(FAMILIES),
-    help="Kind of generated maps (repeatable). Default: all.",
+    help="Kind of generated maps. Default: all.",
 )
 @click.option("--map-side", type=click.IntRange(4, 1024), help="Cells across a generated map. Default: 64.")
 @opt.seed_opt
-@click.option("--curve", type=opt.PATH, help="Also write the learning curve: a figure (.png) or numbers (.json).")
+@click.option(
+    "--curve",
+    type=opt.File("CURVE.png", ".json", writes=True),
+    help="Also write the learning curve: a figure (.png) or numbers (.json).",
+)
 @opt.existing_options
 @opt.console_options
 def train_plan(

@@ -8,15 +8,43 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from hrt_cli import options as opt
-from hrt_cli.artifacts.stage import Existing
+from hrt_cli.manual import Command
 from hrt_cli.progress import Console
 
 if TYPE_CHECKING:
+    from hrt_cli.artifacts.stage import Existing
     from hrt_cli.steering.training.stage import SteerTraining
 
 
 @click.command(
     "train-steer",
+    cls=Command,
+    sections={
+        "Start": "--weights --init",
+        "Network": "--size --crop-top --half-classes --columns --spatial-dropout --goal",
+        "Labels": "--sigma --cost-scale --entropy --correction",
+        "Training": "--epochs --batch --learning-rate --weight-decay --patience --balance --augment",
+        "Computing": "--threads --precision --seed",
+        "Held out": "--validation --split --share --gap",
+        "Output": "--curve --metrics",
+    },
+    files=".OUTPUT.hrt-checkpoint, beside the output, keeps a training that was stopped.",
+    keys=(
+        "output",
+        "up_to_date",
+        "mae",
+        "rmse",
+        "accuracy",
+        "nll",
+        "ece",
+        "constant_baseline_mae",
+        "frames",
+        "skipped",
+        "epochs",
+        "best_epoch",
+        "seconds",
+    ),
+    see_also=("drive", "record", "steer", "evaluate steer", "export-steer"),
     epilog="""\b
 Example:
   hrt synth site --scene meadow --size 30
@@ -24,20 +52,52 @@ Example:
   hrt train-steer site/frames -o site/steer.safetensors --size 64x48 --epochs 1 --curve site/steer.png
 """,
 )
-@click.argument("data", nargs=-1, required=True, type=opt.PATH)
-@opt.output_opt
-@click.option("--validation", multiple=True, type=opt.PATH, help="Hold out this folder, no split (repeatable).")
-@click.option("--weights", type=opt.PATH, help="Begin from the file that torchvision publishes as resnet18.")
-@click.option("--init", type=opt.PATH, help="Begin from this steering model, of the same configuration.")
-@click.option("--size", type=opt.Size(32, 2048), default="160x120", show_default=True, help="What it sees.")
-@click.option("--crop-top", type=opt.FiniteFloat(0, 0.9), default=0, show_default=True, help="Share cut off first.")
+@click.argument("data", nargs=-1, required=True, type=opt.FOLDER)
+@opt.output("MODEL.safetensors")
+@click.option("--validation", multiple=True, type=opt.FOLDER, help="Hold out this folder, in place of a split.")
 @click.option(
-    "--half-classes", type=click.IntRange(1, 127), default=7, show_default=True, help="M: 2M+1 steering angles."
+    "--weights",
+    type=opt.File("WEIGHTS.safetensors", ".pth", ".pt"),
+    help="Begin from the file that torchvision publishes as resnet18.",
 )
-@click.option("--columns", type=click.IntRange(1, 64), default=1, show_default=True, help="Keep left from right.")
+@click.option("--init", type=opt.STEERING, help="Begin from this steering model, of the same configuration.")
+@click.option(
+    "--size",
+    type=opt.Size(32, 2048),
+    default="160x120",
+    show_default=True,
+    help="Size of the picture that the network sees, pixels.",
+)
+@click.option(
+    "--crop-top",
+    type=opt.FiniteFloat(0, 0.9),
+    default=0,
+    show_default=True,
+    help="Share of the picture cut off at its top before.",
+)
+@click.option(
+    "--half-classes",
+    type=click.IntRange(1, 127),
+    default=7,
+    show_default=True,
+    help="M: the network chooses among 2M+1 angles.",
+)
+@click.option(
+    "--columns",
+    type=click.IntRange(1, 64),
+    default=1,
+    show_default=True,
+    help="Parts side by side over which what is seen is averaged: from 2 on left is told from right.",
+)
 @click.option("--spatial-dropout", is_flag=True, help="Also drop channels before the last convolution.")
-@click.option("--goal/--no-goal", default=True, show_default=True, help="Tell it where to go, if the data do.")
-@click.option("--sigma", type=opt.FiniteFloat(0, 2), default=0.12, show_default=True, help="Of smoothed labels.")
+@click.option("--goal/--no-goal", default=True, show_default=True, help="Tell the network where to go, if the data do.")
+@click.option(
+    "--sigma",
+    type=opt.FiniteFloat(0, 2),
+    default=0.12,
+    show_default=True,
+    help="Width of smoothed labels (standard deviation), in units of full lock.",
+)
 @click.option(
     "--cost-scale",
     "cost_scale_s",
@@ -54,16 +114,20 @@ Example:
     show_default=True,
     help="Price of over-confidence.",
 )
-@click.option("--epochs", type=click.IntRange(1, 100_000), default=60, show_default=True, help="At most.")
+@click.option(
+    "--epochs", type=click.IntRange(1, 100_000), default=60, show_default=True, help="Most passes over the data."
+)
 @click.option("--batch", type=click.IntRange(2, 65_536), default=64, show_default=True, help="Frames of a step.")
 @click.option(
     "--learning-rate",
     type=opt.FiniteFloat(0, 100, low_open=True),
     default=1e-3,
     show_default=True,
-    help="At its highest.",
+    help="Learning rate at its highest.",
 )
-@click.option("--weight-decay", type=opt.FiniteFloat(0, 100), default=1e-2, show_default=True, help="Of AdamW.")
+@click.option(
+    "--weight-decay", type=opt.FiniteFloat(0, 100), default=1e-2, show_default=True, help="Weight decay of AdamW."
+)
 @click.option(
     "--patience",
     type=click.IntRange(0, 100_000),
@@ -78,13 +142,27 @@ Example:
     show_default=True,
     help="What to hold out for validation.",
 )
-@click.option("--share", type=opt.FiniteFloat(0.01, 0.9), default=0.2, show_default=True, help="Held out.")
-@click.option("--gap", type=click.IntRange(0, 100_000), default=10, show_default=True, help="Frames left out beside.")
+@click.option(
+    "--share", type=opt.FiniteFloat(0.01, 0.9), default=0.2, show_default=True, help="Share of the data to hold out."
+)
+@click.option(
+    "--gap",
+    type=click.IntRange(0, 100_000),
+    default=10,
+    show_default=True,
+    help="Frames left out beside those held out.",
+)
 @click.option(
     "--balance", type=opt.FiniteFloat(0, 1), default=0, show_default=True, help="1: every angle as often; 0: as is."
 )
-@click.option("--augment/--no-augment", default=True, show_default=True, help="Vary the pictures.")
-@click.option("--threads", type=click.IntRange(1, 1024), default=2, show_default=True, help="Part of the result.")
+@click.option("--augment/--no-augment", default=True, show_default=True, help="Vary the pictures from pass to pass.")
+@click.option(
+    "--threads",
+    type=click.IntRange(1, 1024),
+    default=2,
+    show_default=True,
+    help="Threads of PyTorch. The result depends on it.",
+)
 @opt.seed_opt
 @opt.correction_opt
 @opt.skip_bad_opt
@@ -93,10 +171,12 @@ Example:
     type=click.Choice(["auto", "float32", "bf16"]),
     default="auto",
     show_default=True,
-    help="auto: bf16 where the machine computes it natively. Part of the result.",
+    help="auto: bf16 where the machine computes it natively. The result depends on it.",
 )
-@click.option("--curve", type=opt.PATH, help="Also draw the learning curves as a PNG.")
-@click.option("--metrics", type=opt.PATH, help="Also write the figures of each epoch as JSON Lines.")
+@click.option("--curve", type=opt.File("CURVE.png", writes=True), help="Also draw the learning curves as a PNG.")
+@click.option(
+    "--metrics", type=opt.File("METRICS.jsonl", writes=True), help="Also write the figures of each epoch as JSON Lines."
+)
 @opt.existing_options
 @opt.console_options
 def train_steer(

@@ -8,19 +8,24 @@ import click
 
 from hrt_cli import options as opt
 from hrt_cli.errors import DifferenceError
+from hrt_cli.manual import Command
 from hrt_cli.progress import Console
 
 
 @click.command(
+    cls=Command,
+    difference="a file is not what was written, an input has changed, or there is no provenance",
+    keys=("files",),
+    see_also=("inspect",),
     epilog="""\b
 Example:
   hrt synth site --scene meadow --size 40
   hrt segment site/ortho.tif -o site/classes.tif --classes 5
   hrt verify site/classes.tif
-"""
+""",
 )
 @click.argument("files", nargs=-1, required=True, type=opt.PATH)
-@click.option("--inputs", "folders", multiple=True, type=opt.PATH, help="Folder to look for inputs in (repeatable).")
+@click.option("--inputs", "folders", multiple=True, type=opt.FOLDER, help="Folder to look for inputs in.")
 @opt.console_options
 def verify(files: tuple[Path, ...], folders: tuple[Path, ...], console: Console) -> None:
     """Check artifacts against the provenance they carry.

@@ -22,6 +22,8 @@ from hrt_cli.errors import HrtError
 from hrt_cli.lazy import LazyGroup
 from hrt_cli.progress import abandon_stdout, to_stderr
 
+VARIABLE = "_HRT_COMPLETE"
+"""Set by the scripts of `hrt completion` to ask what may come next."""
 _GARBAGE = 500_000
 """New containers before the collector of cycles looks: importing numba makes so many that at Python's own 700 it looks
 500 times, which takes half a second."""
@@ -70,9 +72,21 @@ COMMANDS = {
         "Write one page of all that PATHS, files and folders, hold: maps, drives, charts, provenance.",
     ),
     "verify": ("hrt_commands.verify:verify", "Check artifacts against the provenance they carry."),
+    "completion": (
+        "hrt_commands.completion:completion",
+        "Print the script that lets bash, zsh or fish complete commands, options, their values and files.",
+    ),
 }
 """Subcommand -> (module:attribute, the first paragraph of its help, so that `hrt --help` imports none of them)."""
-
+STAGES = {
+    "Begin": ("inspect", "synth", "init"),
+    "From a survey to a map": ("segment", "feedback", "scoremap"),
+    "From a map to a mission": ("plan", "export", "train-plan"),
+    "Driving and steering": ("drive", "record", "train-steer", "steer", "export-steer"),
+    "Measuring and checking": ("evaluate", "compare", "report", "verify"),
+    "The shell": ("completion",),
+}
+"""The commands in the help of `hrt`, by what they are for; those that none names come after."""
 
 PLUGIN_GROUP = "hrt.commands"
 
@@ -89,15 +103,44 @@ class Stopped(BaseException):
         self.signum = signum
 
 
+def _show_versions(ctx: click.Context, param: click.Parameter, value: bool) -> None:
+    if value and not ctx.resilient_parsing:
+        from hrt_cli.versions import lines
+
+        click.echo("\n".join(lines()))
+        ctx.exit()
+
+
 @click.group(
-    cls=LazyGroup, table=COMMANDS, plugins=PLUGIN_GROUP, context_settings={"help_option_names": ["-h", "--help"]}
+    cls=LazyGroup,
+    table=COMMANDS,
+    plugins=PLUGIN_GROUP,
+    stages=STAGES,
+    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
+    epilog="""\b
+Example:
+  hrt synth site --scene meadow --size 40
+  hrt segment site/ortho.tif -o classes.tif --classes 5
+  hrt scoremap classes.tif -o scoremap.tif
+  hrt plan scoremap.tif -o plan.json --start auto --budget 200
+  hrt export plan.json -o mission.plan
+""",
 )
-@click.version_option(__version__, prog_name="hrt")
+@click.version_option(__version__, prog_name="hrt", message="%(prog)s %(version)s")
+@click.option(
+    "--show-versions",
+    is_flag=True,
+    is_eager=True,
+    expose_value=False,
+    callback=_show_versions,
+    help="Print what a bug report needs: versions, machine, settings.",
+)
 def cli() -> None:
     """Turn one UAV survey of a site into a robot that can work there.
 
     An orthomosaic becomes texture classes, classes become a scoremap, a learned policy plans the path that collects
-    the most score within a budget, and the path becomes a mission. Every stage reads and writes files.
+    the most score within a budget, and the path becomes a mission. Every stage reads and writes files; `hrt COMMAND
+    --help` tells which, with an example that runs.
     """
 
 
@@ -111,6 +154,10 @@ def main(args: list[str] | None = None) -> NoReturn:
     for signum in (signal.SIGINT, signal.SIGTERM):
         if signal.getsignal(signum) is not signal.SIG_IGN:
             signal.signal(signum, _stop)
+    if VARIABLE in os.environ:
+        from hrt_cli.completion import register
+
+        register()
     code = _run(args)
     # Leaving, Python looks for cycles several times over: in hundreds of thousands of objects that the system frees.
     gc.freeze()

@@ -7,17 +7,68 @@ import math
 import re
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
+from hrt_cli.manual import interval
 from hrt_cli.progress import Console
+
+if TYPE_CHECKING:
+    from click.shell_completion import CompletionItem
 
 F = TypeVar("F", bound=Callable[..., Any])
 
 _BANDS = re.compile(r"[1-9][0-9]{0,4}(,[1-9][0-9]{0,4})*")
 
-PATH = click.Path(path_type=Path)
+
+class File(click.Path):
+    """A path that help names and a shell completes: folders, and files that end as its name or one of `others` does.
+
+    Parameters
+    ----------
+    shown : str
+        What stands for it in the help: `CLASSES.tif`; without a suffix, any file will do, or only folders.
+    others : str
+        Other suffixes, with their dot.
+    writes : bool
+        The command writes it.
+    """
+
+    def __init__(self, shown: str, *others: str, writes: bool = False) -> None:
+        super().__init__(path_type=Path)
+        self.shown, self.writes = shown, writes
+        self.suffixes = tuple(dict.fromkeys((Path(shown).suffix, *others))) if Path(shown).suffix else others
+        self.folder = shown == "FOLDER"
+
+    def get_metavar(self, param: click.Parameter, ctx: click.Context | None = None) -> str | None:  # noqa: D102
+        return self.shown if isinstance(param, click.Option) else None
+
+    def shell_complete(  # noqa: D102
+        self, ctx: click.Context, param: click.Parameter, incomplete: str
+    ) -> list[CompletionItem]:
+        from hrt_cli.completion import paths
+
+        return paths(incomplete, self.suffixes, folders_only=self.folder)
+
+
+PATH = File("PATH")
+FOLDER = File("FOLDER")
+RASTER = File("RASTER.tif", ".tiff", ".vrt", ".jp2", ".png", ".jpg", ".jpeg")
+CLASSES = File("CLASSES.tif", ".tiff", ".vrt")
+SCORES = File("SCORES.json")
+SCOREMAP = File("SCOREMAP.tif", ".tiff", ".vrt", ".npz")
+AREA = File("AREA.geojson", ".json", ".kml", ".kmz")
+DSM = File("DSM.tif", ".tiff", ".vrt")
+POLICY = File("POLICY.npz")
+PLAN = File("PLAN.json")
+LOG = File("LOG.jsonl", ".csv", ".tsv", ".gpx", ".bag", ".mcap", ".db3", ".bin")
+STEERING = File("MODEL.safetensors")
+ANY_STEERING = File("MODEL.safetensors", ".onnx")
+RASTER_OR_LOG = File("FILE", *RASTER.suffixes, *LOG.suffixes)
+"""The kinds of files and folders that commands take."""
+
+_UNITS = {"_m_s": "M/S", "_m": "METRES", "_s": "SECONDS", "_deg": "DEGREES"}
 
 
 class FiniteFloat(click.ParamType):  # type: ignore[type-arg]  # generic only from click 8.4
@@ -30,6 +81,15 @@ class FiniteFloat(click.ParamType):  # type: ignore[type-arg]  # generic only fr
     ) -> None:
         self.low, self.high = low, high
         self.low_open, self.high_open = low_open, high_open
+
+    @property
+    def allowed(self) -> str:
+        """The interval in words."""
+        return interval(self.low, self.high, low_open=self.low_open, high_open=self.high_open)
+
+    def get_metavar(self, param: click.Parameter, ctx: click.Context | None = None) -> str:
+        """Return the unit that the parameter's name tells."""
+        return next((unit for end, unit in _UNITS.items() if (param.name or "").endswith(end)), "NUMBER")
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:  # noqa: D102
         try:
@@ -56,6 +116,11 @@ class ClassCount(click.ParamType):  # type: ignore[type-arg]
     """A number of classes from 2 to 255, or `auto`."""
 
     name = "K|auto"
+    allowed = "2 to 255, or auto"
+
+    def get_metavar(self, param: click.Parameter, ctx: click.Context | None = None) -> str:
+        """Return the name as it is, not in capitals."""
+        return self.name
 
     def convert(  # noqa: D102
         self, value: Any, param: click.Parameter | None, ctx: click.Context | None
@@ -106,6 +171,15 @@ class Size(click.ParamType):  # type: ignore[type-arg]
 
     def __init__(self, low: int, high: int) -> None:
         self.low, self.high = low, high
+
+    @property
+    def allowed(self) -> str:
+        """The interval in words."""
+        return f"{self.low}x{self.low} to {self.high}x{self.high}"
+
+    def get_metavar(self, param: click.Parameter, ctx: click.Context | None = None) -> str:
+        """Return the name as it is, not in capitals."""
+        return self.name
 
     def convert(  # noqa: D102
         self, value: Any, param: click.Parameter | None, ctx: click.Context | None
@@ -164,14 +238,23 @@ def existing_options(command: F) -> F:
     return wrapped  # type: ignore[return-value]
 
 
-output_opt = click.option("-o", "--output", required=True, type=PATH, help="The file to write.")
+def output(shown: str, text: str = "The file to write.") -> Callable[[F], F]:
+    """Return the option `--output`, with what stands for the file in the help: `CLASSES.tif`."""
+    return click.option("-o", "--output", required=True, type=File(shown, writes=True), help=text)
+
+
+output_opt = output("FILE")
 
 seed_opt = click.option(
     "--seed", type=click.IntRange(0, 2**31 - 1), default=0, show_default=True, help="Seed of every random choice."
 )
 
 workers_opt = click.option(
-    "--workers", type=click.IntRange(1, 256), default=1, show_default=True, help="Threads; the result is the same."
+    "--workers",
+    type=click.IntRange(1, 256),
+    default=1,
+    show_default=True,
+    help="Threads. The result does not depend on it.",
 )
 
 skip_bad_opt = click.option(
@@ -189,6 +272,7 @@ correction_opt = click.option(
 bands_opt = click.option(
     "-b",
     "--bands",
+    metavar="B1,B2,B3",
     callback=lambda ctx, param, value: _bands(value),
     help="Bands to take as red, green, blue: 3,2,1 (or one as grey). Default: as the file declares.",
 )
@@ -200,16 +284,16 @@ creation_opt = click.option(
     "creation",
     multiple=True,
     type=NameValue(),
-    help="Creation option of GDAL's COG driver, such as COMPRESS=ZSTD (repeatable).",
+    help="Creation option of GDAL's COG driver, such as COMPRESS=ZSTD.",
 )
 
 unreferenced_opt = click.option(
     "--unreferenced", is_flag=True, help="Accept a plain image without georeference: lengths are pixels."
 )
 
-figure_opt = click.option("--figure", type=PATH, help="Also draw the result as a PNG.")
+figure_opt = click.option("--figure", type=File("FIGURE.png", writes=True), help="Also draw the result as a PNG.")
 
-backdrop_opt = click.option("--backdrop", type=PATH, help="Orthomosaic to draw the figure on.")
+backdrop_opt = click.option("--backdrop", type=RASTER, help="Orthomosaic to draw the figure on.")
 
 
 def _bands(text: str | None) -> tuple[int, ...]:

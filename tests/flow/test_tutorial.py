@@ -1,11 +1,12 @@
-"""The tutorial's commands run as they stand, and print what it says."""
+"""The tutorials' commands run as they stand, and print what they say."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
+import cv2
 import pytest
-from tutorial import TUTORIAL, Step, agree, run, steps_of, written
+from tutorial import IMAGES, TUTORIALS, Step, agree, pictures, run, steps_of, written
 
 TEXT = """Words.
 
@@ -29,11 +30,32 @@ $ cat f
 
 
 @pytest.mark.slow
-def test_the_tutorial_prints_what_it_says(tmp_path: Path) -> None:
-    steps = steps_of(TUTORIAL.read_text(encoding="utf-8"))
-    assert len(steps) > 10
+@pytest.mark.parametrize("name", TUTORIALS)
+def test_a_tutorial_prints_what_it_says(name: str, tmp_path: Path) -> None:
+    text = TUTORIALS[name].read_text(encoding="utf-8")
+    steps = steps_of(text)
+    assert len(steps) >= 10
     for step, printed in run(steps, tmp_path):
         assert agree(step.printed, printed), f"$ {step.command}\nsays:\n{step.printed}prints:\n{printed}"
+    made = pictures(name, text)
+    assert len(made) >= 3
+    assert all((tmp_path / png).is_file() for png in made.values())
+
+
+@pytest.mark.parametrize("name", TUTORIALS)
+def test_the_pictures_of_a_tutorial_are_there_and_light(name: str) -> None:
+    for picture in pictures(name, TUTORIALS[name].read_text(encoding="utf-8")):
+        path = IMAGES / picture
+        assert path.stat().st_size <= 150_000
+        assert cv2.imread(str(path)).shape[1] <= 1000
+
+
+def test_no_picture_is_left_over_and_all_are_light() -> None:
+    pages = [IMAGES.parents[1] / "README.md", *IMAGES.parent.glob("*.md")]
+    text = "".join(page.read_text(encoding="utf-8") for page in pages)
+    there = sorted(IMAGES.iterdir())
+    assert all(f"images/{path.name})" in text for path in there)
+    assert sum(path.stat().st_size for path in there) <= 1_200_000
 
 
 def test_commands_and_what_they_print_are_found_and_run_in_order(tmp_path: Path) -> None:

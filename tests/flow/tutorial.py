@@ -1,7 +1,8 @@
-"""The commands of docs/tutorial.md and what they print: `python tests/flow/tutorial.py --write` prints it anew.
+"""The commands of the tutorials and what they print: `python tests/flow/tutorial.py --write` prints it anew.
 
 A block begins with ```console; a line that begins with `$ ` is a command, which goes on in lines that begin with `> `;
-the lines after it are what it prints, on stdout and stderr, until the next command.
+the lines after it are what it prints, on stdout and stderr, until the next command. A picture `images/reef-plan.jpg` is
+the `plan.png` that a command made.
 """
 
 from __future__ import annotations
@@ -16,8 +17,11 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
 
+import cv2
+
 ROOT = Path(__file__).parents[2]
-TUTORIAL = ROOT / "docs" / "tutorial.md"
+TUTORIALS = {"wildfire": ROOT / "docs" / "tutorial.md", "reef": ROOT / "docs" / "tutorial-reef.md"}
+IMAGES = ROOT / "docs" / "images"
 ENV = {**os.environ, "PATH": f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}", "NO_COLOR": "1"}
 ENV |= {"COLUMNS": "120"}
 
@@ -26,6 +30,7 @@ _NUMBER = re.compile(r"-?\d+(?:\.\d+)?(?:e[-+]\d+)?")
 _TIMES = re.compile(r"(?<=classes in )[\d.]+(?= s)|(?<=\()[\d.]+(?= s\))")
 _FIRST_USE = "Note: compiling for this machine"
 NEARLY = 0.02
+WIDTH = 760
 
 
 class Step(NamedTuple):
@@ -101,17 +106,34 @@ def written(text: str, printed: list[str]) -> str:
     return _BLOCK.sub(block, text)
 
 
+def pictures(name: str, text: str) -> dict[str, str]:
+    """Return the pictures of a tutorial: the file in docs/images, and the PNG that it was made of."""
+    return {f"{name}-{stem}.jpg": f"{stem}.png" for stem in re.findall(rf"\(images/{name}-([a-z0-9]+)\.jpg\)", text)}
+
+
+def draw(made: Path, picture: Path) -> None:
+    """Write a picture for a page: a JPEG, smaller than the PNG that a command made."""
+    pixels = cv2.imread(str(made))
+    height, width = pixels.shape[:2]
+    size = (WIDTH, round(height * WIDTH / width))
+    shrunk = cv2.resize(pixels, size, interpolation=cv2.INTER_AREA)
+    cv2.imwrite(str(picture), shrunk, [cv2.IMWRITE_JPEG_QUALITY, 85, cv2.IMWRITE_JPEG_OPTIMIZE, 1])
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--write", action="store_true", required=True, help="write what is printed into the tutorial")
-    parser.parse_args()
-    text = TUTORIAL.read_text(encoding="utf-8")
-    with tempfile.TemporaryDirectory() as folder:
-        printed = []
-        for step, lines in run(steps_of(text), Path(folder)):
-            print(f"$ {step.command}\n{lines}", end="", flush=True)
-            printed.append(lines)
-    TUTORIAL.write_text(written(text, printed), encoding="utf-8")
+    parser.add_argument("names", nargs="*", help="which (wildfire, reef); by default all")
+    for name in parser.parse_args().names or TUTORIALS:
+        text = TUTORIALS[name].read_text(encoding="utf-8")
+        with tempfile.TemporaryDirectory() as folder:
+            printed = []
+            for step, lines in run(steps_of(text), Path(folder)):
+                print(f"$ {step.command}\n{lines}", end="", flush=True)
+                printed.append(lines)
+            for picture, made in pictures(name, text).items():
+                draw(Path(folder, made), IMAGES / picture)
+        TUTORIALS[name].write_text(written(text, printed), encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -35,6 +35,31 @@ def test_help_imports_no_command() -> None:
     assert CliRunner().invoke(group(), ["three"]).exit_code == 2
 
 
+@pytest.mark.parametrize(
+    ("typed", "hint"),
+    [
+        (["segmnt"], "No such command 'segmnt'. Did you mean 'segment'?"),
+        (["PLAN"], "No such command 'PLAN'. Did you mean 'plan'?"),
+        (["evaluate", "drve"], "No such command 'drve'. Did you mean 'drive'?"),
+        (["xyzzy"], "No such command 'xyzzy'.\n"),
+        (["--vrsion"], "No such option"),
+        (["plan", "--methd", "x"], "--method"),
+    ],
+)
+def test_what_was_meant_is_guessed(typed: list[str], hint: str) -> None:
+    done = CliRunner().invoke(cli, typed)
+    assert done.exit_code == 2
+    assert hint in done.output
+
+
+def test_commands_stand_by_their_stage_and_the_others_after() -> None:
+    stages = {"First": ("two", "not there"), "Empty": ("nor this",)}
+    shown = CliRunner().invoke(LazyGroup("g", table=TABLE, stages=stages), ["--help"]).stdout
+    titles = [line for line in shown.splitlines() if line.endswith(":") and not line.startswith("Usage")]
+    assert titles == ["Options:", "First:", "Commands:"]
+    assert shown.index("First:") < shown.index("The second.") < shown.index("Commands:") < shown.index("The first.")
+
+
 def test_the_kinds_of_evaluate() -> None:
     context = click.Context(evaluate)
     assert evaluate.list_commands(context) == list(KINDS) == ["segment", "plan", "drive", "steer"]

@@ -67,6 +67,22 @@ def test_help_imports_nothing_heavy() -> None:
     assert done.stderr.strip() == "[]"
 
 
+def test_no_help_of_a_command_imports_anything_heavy() -> None:
+    probe = (
+        "import click, sys\n"
+        "from hrt_cli.main import COMMANDS, cli\n"
+        "def load(group, names):\n"
+        "    for name in names:\n"
+        "        command = group.get_command(click.Context(group), name)\n"
+        "        command.get_help(click.Context(command))\n"
+        "        if isinstance(command, click.Group): load(command, command.list_commands(click.Context(command)))\n"
+        "load(cli, COMMANDS)\n"
+        f"print([name for name in {HEAVY} if name in sys.modules])"
+    )
+    done = subprocess.run([sys.executable, "-c", probe], capture_output=True, text=True)
+    assert done.stdout.strip() == "[]", done.stderr
+
+
 def test_help_is_quick() -> None:
     def seconds_of_processor() -> float:
         before = resource.getrusage(resource.RUSAGE_CHILDREN)
@@ -232,7 +248,7 @@ def plugins(tmp_path: Path) -> dict[str, str]:
 def test_a_plugin_is_listed_and_run(plugins: dict[str, str]) -> None:
     listed = hrt("--help", env=plugins)
     assert listed.returncode == 0
-    assert re.search(r"^  hello +\(plugin\)$", listed.stdout, re.MULTILINE)
+    assert re.search(r"^  hello +\(plugin thirdparty 1\.0\)$", listed.stdout, re.MULTILINE)
     assert listed.stdout.count("\n  plan ") == 1
     assert "Plan the path" in listed.stdout
     assert hrt("hello", "world", env=plugins).stdout == "hello world\n"
