@@ -18,6 +18,7 @@ from hrt_cli.evaluation.segment import agreement, evaluate_segmentation
 from hrt_cli.raster.classes import open_classes
 from hrt_cli.raster.style import class_colour, rgb_of
 from hrt_cli.report.figures import agreement as drawn
+from hrt_cli.report.figures import palette
 
 Ids = NDArray[np.uint8]
 
@@ -56,7 +57,7 @@ def test_the_map_of_differences(pair: tuple[Path, Path]) -> None:
     assert picture.shape == (60, 80, 3)
     right, wrong, unmatched, void = (
         (picture == rgb_of(colour)).all(axis=2).sum()
-        for colour in (drawn._RIGHT_COLOUR, drawn._WRONG_COLOUR, drawn._UNMATCHED_COLOUR, drawn._VOID_COLOUR)
+        for colour in (palette.RIGHT, palette.WRONG, palette.UNMATCHED, palette.VOID)
     )
     assert (wrong, unmatched, void) == (100, 400, 25)
     assert right / (right + wrong + unmatched) == pytest.approx(table.accuracy)
@@ -103,7 +104,7 @@ def test_the_picture_shows_both_maps_and_the_errors(pair: tuple[Path, Path], tmp
     assert share("truth", class_colour(0)) == pytest.approx(share("truth", class_colour(1)), rel=0.05)
     assert share("truth", class_colour(0)) > 0.3
     assert share("classes", class_colour(0)) < 0.97 * share("truth", class_colour(0))
-    assert share("differences", drawn._UNMATCHED_COLOUR) > 3 * share("differences", drawn._WRONG_COLOUR) > 0
+    assert share("differences", palette.UNMATCHED) > 3 * share("differences", palette.WRONG) > 0
     assert share("differences", class_colour(0)) == 0
 
 
