@@ -72,6 +72,7 @@ Example:
 @_positive("--slope-limit", 35.0, "With --dsm: slope, degrees, on which progress counts nothing.")
 @_positive("--rugosity-limit", 0.3, "With --dsm: deviation of heights, m, at which progress counts nothing.")
 @_positive("--forget-m", None, "Older evidence of a class counts half after so many metres of new. Default: never.")
+@opt.figure_opt
 @opt.existing_options
 @opt.console_options
 def feedback(
@@ -88,6 +89,7 @@ def feedback(
     slope_limit: float,
     rugosity_limit: float,
     forget_m: float | None,
+    figure: Path | None,
     existing: Existing,
     console: Console,
 ) -> None:
@@ -115,6 +117,10 @@ def feedback(
             existing=existing,
             progress=progress,
         )
+    if figure is not None:
+        from hrt_cli.report.figures.scores import draw_scores
+
+        draw_scores(output, scores_path, figure, existing=existing)
     for note in done.notes:
         console.note(f"Note: {note}")
     console.result("\n".join(_lines(output, done)), {"output": str(output), **_data(done)})

@@ -17,7 +17,7 @@ FAMILIES = ("gaussians", "noise", "classes", "obstacles", "speckle", "islands", 
     "train-plan",
     epilog="""\b
 Example:
-  hrt train-plan -o policy.npz --iterations 20 --seed 1 --curve curve.png
+  hrt train-plan -o policy.npz --iterations 20 --seed 1 --figure curve.png
 """,
 )
 @click.argument("scoremaps", nargs=-1, type=opt.PATH)
@@ -78,7 +78,13 @@ Example:
 )
 @click.option("--map-side", type=click.IntRange(4, 1024), help="Cells across a generated map. Default: 64.")
 @opt.seed_opt
-@click.option("--curve", type=opt.PATH, help="Also write the learning curve: a figure (.png) or numbers (.json).")
+@click.option(
+    "--figure",
+    "--curve",
+    "curve",
+    type=opt.PATH,
+    help="Also write the learning curve: a figure (.png) or its numbers (.json).",
+)
 @opt.existing_options
 @opt.console_options
 def train_plan(

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 Example:
   hrt synth site --scene meadow --size 30
   hrt drive --world site --roam 30 --local expert --disturb 0.3 --record site/frames -o site/drive.jsonl
-  hrt train-steer site/frames -o site/steer.safetensors --size 64x48 --epochs 1 --curve site/steer.png
+  hrt train-steer site/frames -o site/steer.safetensors --size 64x48 --epochs 1 --figure site/steer.png
 """,
 )
 @click.argument("data", nargs=-1, required=True, type=opt.PATH)
@@ -95,7 +95,7 @@ Example:
     show_default=True,
     help="auto: bf16 where the machine computes it natively. Part of the result.",
 )
-@click.option("--curve", type=opt.PATH, help="Also draw the learning curves as a PNG.")
+@click.option("--figure", "--curve", "curve", type=opt.PATH, help="Also draw the learning curves as a PNG.")
 @click.option("--metrics", type=opt.PATH, help="Also write the figures of each epoch as JSON Lines.")
 @opt.existing_options
 @opt.console_options

@@ -9,11 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hrt_cli.artifacts.stage import Existing
-from hrt_cli.raster.classes import NODATA, ClassRaster, open_classes
+from hrt_cli.raster.classes import NODATA, open_classes
 from hrt_cli.raster.grid import Grid, require_same_grid
 from hrt_cli.raster.style import class_colour, rgb_of
-from hrt_cli.raster.windows import Window
-from hrt_cli.report.figures.canvas import begin_drawing, map_axes, show_caption, show_title, size_m
+from hrt_cli.report.figures.canvas import begin_drawing, map_axes, show_caption, show_title, size_m, thinned
 from hrt_cli.report.figures.palette import MATRIX_RAMP, RIGHT, UNMATCHED, VOID, WRONG
 
 if TYPE_CHECKING:
@@ -93,18 +92,11 @@ def draw_agreement(
         open_classes(truth_path, unreferenced=unreferenced) as truth,
     ):
         require_same_grid(classes_path, classes.grid, truth_path, truth.grid)
-        ids, true_ids = _thumbnail(classes), _thumbnail(truth)
+        ids, true_ids = (thinned(each.read, each.grid.shape, PANEL_PX)[0] for each in (classes, truth))
         grid, names = truth.grid, truth.names
     figure = _figure(grid, ids, true_ids, table, names, caption)
     job.publish(figure)
     return False
-
-
-def _thumbnail(raster: ClassRaster) -> NDArray[np.uint8]:
-    """Read every n-th pixel, so that neither side has more than `PANEL_PX`."""
-    rows, cols = raster.grid.shape
-    step = max(1, -(-max(rows, cols) // PANEL_PX))
-    return np.stack([raster.read(Window(row, 0, 1, cols))[0, ::step] for row in range(0, rows, step)])
 
 
 def _figure(

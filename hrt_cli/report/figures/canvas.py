@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import io
 import textwrap
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -17,6 +17,7 @@ from hrt_cli.artifacts.provenance import Provenance
 from hrt_cli.artifacts.stage import Existing, begin
 from hrt_cli.raster.grid import Grid
 from hrt_cli.raster.image import open_image
+from hrt_cli.raster.windows import Window
 from hrt_cli.report.figures.palette import CANVAS, GRID
 
 if TYPE_CHECKING:
@@ -99,6 +100,15 @@ def read_backdrop(path: Path) -> Backdrop:
         return Backdrop(image.grid, np.dstack([rgb, valid.astype(np.uint8) * 255]))
 
 
+def thinned(
+    read: Callable[[Window], NDArray[Any]], shape: tuple[int, int], most: int = MAX_PX
+) -> tuple[NDArray[Any], int]:
+    """Read every n-th pixel of a band, so that neither side has more than `most`; return them and n."""
+    rows, cols = shape
+    step = max(1, -(-max(rows, cols) // most))
+    return np.stack([read(Window(row, 0, 1, cols))[0, ::step] for row in range(0, rows, step)]), step
+
+
 def size_m(grid: Grid) -> tuple[float, float]:
     """Return width and height of a raster in ground metres (pixels where it is unreferenced)."""
     row_m, col_m = grid.pixel_m
@@ -109,15 +119,21 @@ def map_canvas(grid: Grid, title: str, *, unit: str | None = None) -> tuple[Figu
     """Return a figure whose axes are a map as `map_axes` makes it, of a size that suits the raster's shape."""
     from matplotlib.figure import Figure
 
+    width, height = map_inches(grid)
+    figure = Figure(figsize=(max(width, _MAP_IN / 2) + 1.5, max(height, 1.0) + 0.8), layout="constrained")
+    axes = figure.add_subplot()
+    map_axes(axes, grid, unit=unit)
+    show_title(axes, title, width + 1.0)
+    return figure, axes
+
+
+def map_inches(grid: Grid) -> tuple[float, float]:
+    """Return width and height of the map of a raster on paper: as large as suits its shape, wide or tall."""
     width_m, height_m = size_m(grid)
     ratio = height_m / width_m
     width = _MAP_IN if ratio * _MAP_IN >= _LOW_IN else min(_MOST_IN[0], _LOW_IN / ratio)
     height = min(_MOST_IN[1], ratio * width)
-    figure = Figure(figsize=(width + 1.5, max(height, 1.0) + 0.8), layout="constrained")
-    axes = figure.add_subplot()
-    map_axes(axes, grid, unit=unit)
-    show_title(axes, title, min(width, height / ratio) + 1.0)
-    return figure, axes
+    return height / ratio, height
 
 
 def map_axes(axes: Axes, grid: Grid, *, unit: str | None = None) -> None:

@@ -110,12 +110,18 @@ def show_scores(figure: Figure, axes: Axes, scoremap: Scoremap, base: Grid, *, t
     there = extent_on(scoremap.grid, base)
     scores = np.ma.masked_invalid(scoremap.score)
     shown = axes.imshow(scores, extent=there, cmap=ramp, vmin=0, vmax=top, alpha=tint, interpolation="nearest")
-    hatched = _hatched(np.isnan(scoremap.score))
-    axes.imshow(hatched, extent=there, alpha=None if tint is None else _NO_GO_TINT, interpolation="nearest")
+    show_no_go(axes, scoremap, base, faint=tint is not None)
     label = "expected score" if tint is None else "expected score, as a tint"
     bar = figure.colorbar(shown, ax=axes, label=label, shrink=0.6, pad=0.01)
     if bar.solids is not None:
         bar.solids.set_alpha(1.0)
+
+
+def show_no_go(axes: Axes, scoremap: Scoremap, base: Grid, *, faint: bool = False) -> None:
+    """Show the no-go cells of a scoremap grey and hatched, and let what lies below shine through where `faint`."""
+    hatched = _hatched(np.isnan(scoremap.score))
+    alpha = _NO_GO_TINT if faint else None
+    axes.imshow(hatched, extent=extent_on(scoremap.grid, base), alpha=alpha, interpolation="nearest")
 
 
 def _hatched(no_go: NDArray[np.bool_]) -> NDArray[np.uint8]:
@@ -158,3 +164,9 @@ def show_ends(
             label=label,
             zorder=order,
         )
+
+
+def explain_ends(axes: Axes, labels: tuple[str, str] = ("start", "end")) -> None:
+    """Put the marks of the ends of several paths into the legend once."""
+    for marker, size, label in (("o", 8, labels[0]), ("s", 11, labels[1])):
+        axes.plot([], [], marker, color=PATH, mec=PATH_EDGE, mew=1.5, ms=size, label=label)

@@ -15,9 +15,7 @@ from hrt_cli.raster.classes import NODATA, open_classes
 from hrt_cli.raster.grid import Grid
 from hrt_cli.raster.scoremap import read_scoremap
 from hrt_cli.raster.style import class_colour, rgb_of
-from hrt_cli.raster.windows import Window
 from hrt_cli.report.figures.canvas import (
-    MAX_PX,
     Backdrop,
     Drawing,
     Entry,
@@ -25,9 +23,11 @@ from hrt_cli.report.figures.canvas import (
     map_canvas,
     read_backdrop,
     show_legend,
+    thinned,
 )
 from hrt_cli.report.figures.layers import (
     NO_GO,
+    explain_ends,
     extent_on,
     place_on,
     require_aligned,
@@ -37,7 +37,7 @@ from hrt_cli.report.figures.layers import (
     show_scores,
     show_shading,
 )
-from hrt_cli.report.figures.palette import PATH, robot_line
+from hrt_cli.report.figures.palette import robot_line
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -53,14 +53,9 @@ def draw_classes(classes_path: Path, output: Path, *, backdrop: Path | None, exi
     if job.up_to_date:
         return True
     with open_classes(classes_path, unreferenced=True) as raster:
-        step = max(1, -(-max(raster.grid.shape) // MAX_PX))
         grid = _georeferenced(classes_path) or raster.grid
-        rows = [
-            raster.read(Window(top, 0, min(step, raster.grid.rows - top), raster.grid.cols))[0, ::step]
-            for top in range(0, raster.grid.rows, step)
-        ]
+        values, _ = thinned(raster.read, grid.shape)
         names = raster.names
-    values = np.stack(rows)
     ids, counts = np.unique(values[values != NODATA], return_counts=True)
     base = behind.grid if behind else grid
     figure, axes = map_canvas(base, f"{len(ids)} texture classes")
@@ -116,7 +111,7 @@ def draw_plan(plan_path: Path, scoremap_path: Path, output: Path, *, backdrop: P
     for robot, plan in enumerate(plans):
         _show_plan(axes, plan, scoremap.grid, base, robot if members else None)
     if members:
-        _explain_ends(axes)
+        explain_ends(axes)
     show_legend(axes, [NO_GO] if np.isnan(scoremap.score).any() else [])
     job.publish(figure, trimmed=True)
     return False
@@ -154,8 +149,3 @@ def _show_plan(axes: Axes, plan: PlanDocument, grid: Grid, base: Grid, robot: in
     colour, dashes = robot_line(robot)
     show_path(axes, right, down, color=colour, ls=dashes, label=f"robot {robot + 1}")
     show_ends(axes, right, down, colour=colour, labels=("_start", "_end"))
-
-
-def _explain_ends(axes: Axes) -> None:
-    for marker, size, label in (("o", 8, "start"), ("s", 11, "end")):
-        axes.plot([], [], marker, color=PATH, mec="#111111", mew=1.5, ms=size, label=label)

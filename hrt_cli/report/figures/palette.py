@@ -30,11 +30,11 @@ PATH, PATH_EDGE = "#ffffff", "#111111"
 """A path on a map: a light line in a dark edge is seen on any ground."""
 KEEP_IN, KEEP_OUT = "#56b4e9", "#c1272d"
 EVENTS = {
-    "collision": ("collisions", "X", "#d55e00"),
-    "stuck": ("standstills", "s", "#f0e442"),
-    "intervention": ("interventions", "D", "#56b4e9"),
+    "stuck": ("standstill", "^", "#f0e442", 12),
+    "intervention": ("intervention", "D", "#56b4e9", 9),
+    "collision": ("collision", "X", "#d55e00", 9),
 }
-"""What happens on a drive: its name in a legend, marker and colour."""
+"""What happens on a drive: its name in a legend, marker, colour and size."""
 
 METHODS = {
     "refined": "#0072b2",
