@@ -15,8 +15,10 @@ from numpy.typing import NDArray
 from hrt_cli.artifacts.png import png_provenance, publish_png
 from hrt_cli.artifacts.provenance import Provenance
 from hrt_cli.artifacts.stage import Existing, begin
+from hrt_cli.raster.classes import NODATA
 from hrt_cli.raster.grid import Grid
 from hrt_cli.raster.image import open_image
+from hrt_cli.raster.style import class_colour, rgb_of
 from hrt_cli.raster.windows import Window
 from hrt_cli.report.figures.palette import CANVAS, GRID
 
@@ -30,9 +32,11 @@ if TYPE_CHECKING:
 MAX_PX = 1400
 _DPI = 110
 _MAP_IN, _MOST_IN = 9.0, (14.0, 12.0)
-_LOW_IN = 2.4
-"""Side of a map; of one much wider or taller than that: at most so wide and high; below this height it gets wider."""
+_LOW_IN, _LOWEST_IN = 2.4, 0.6
+"""Side of a map; of one much wider or taller than that: at most so wide and high; below this height it gets wider;
+below that its scale bar has no room for a text above it."""
 _CHARS_PER_IN = 11.5
+_LINE_IN = 0.2
 _MAX_NAME = 32
 _MAX_ENTRIES = 36
 _INSET_PT, _ARROW_PT = 10.0, 13.0
@@ -120,7 +124,7 @@ def map_canvas(grid: Grid, title: str, *, unit: str | None = None) -> tuple[Figu
     from matplotlib.figure import Figure
 
     width, height = map_inches(grid)
-    figure = Figure(figsize=(max(width, _MAP_IN / 2) + 1.5, max(height, 1.0) + 0.8), layout="constrained")
+    figure = Figure(figsize=(max(width, _MAP_IN / 2) + 1.5, max(height, 1.0) + 0.6), layout="constrained")
     axes = figure.add_subplot()
     map_axes(axes, grid, unit=unit)
     show_title(axes, title, width + 1.0)
@@ -153,18 +157,18 @@ def map_axes(axes: Axes, grid: Grid, *, unit: str | None = None) -> None:
     axes.set_xticks([])
     axes.set_yticks([])
     axes.set_facecolor(CANVAS)
-    _scale_bar(
-        axes, max(width_m / 5, min(0.7 * width_m, height_m / 12)), unit or ("m" if grid.crs is not None else "px")
-    )
+    length = round_length(max(width_m / 5, min(0.7 * width_m, height_m / 12)))
+    _scale_bar(axes, length, unit or ("m" if grid.crs is not None else "px"), beside=map_inches(grid)[1] < _LOWEST_IN)
     if grid.crs is not None:
         _north_arrow(axes, grid)
 
 
 def show_title(axes: Axes, title: str, width_in: float, *, size: float = 11.0) -> None:
-    """Set a title above the left edge, wrapped to a width."""
+    """Set a title above the left edge, wrapped to a width, for which the figure gets the room."""
     chars = max(24, int(width_in * _CHARS_PER_IN * 11.0 / size))
     lines = [part for line in title.split("\n") for part in textwrap.wrap(line, chars) or [""]]
     axes.set_title("\n".join(lines), loc="left", fontsize=size, parse_math=False)
+    figure_of(axes).set_figheight(figure_of(axes).get_figheight() + len(lines) * _LINE_IN)
 
 
 def show_caption(figure: Figure, caption: str, chars: int, *, size: float = 11.0) -> None:
@@ -173,23 +177,23 @@ def show_caption(figure: Figure, caption: str, chars: int, *, size: float = 11.0
     figure.suptitle(lines, x=0.01, ha="left", fontsize=size, parse_math=False)
 
 
-def _scale_bar(axes: Axes, most_m: float, unit: str) -> None:
-    """Draw a bar of a round length above the lower left corner, as thick on any map."""
+def _scale_bar(axes: Axes, length: float, unit: str, *, beside: bool) -> None:
+    """Draw a bar above the lower left corner, as thick on any map, with its length above it or `beside` it."""
     from matplotlib import patheffects
     from matplotlib.transforms import ScaledTranslation
 
     inset = ScaledTranslation(_INSET_PT / 72, _INSET_PT / 72, figure_of(axes).dpi_scale_trans)
     there = axes.get_xaxis_transform() + inset
-    length = round_length(most_m)
     edge = [patheffects.withStroke(linewidth=6.0, foreground="white")]
     axes.plot(
         [0, length], [0, 0], color="black", lw=4.0, solid_capstyle="butt", path_effects=edge, transform=there,
         clip_on=False, zorder=10, label="_scale",
     )  # fmt: skip
+    at, offset, side = ((length, 0), (7, 0), "center") if beside else ((0, 0), (0, 7), "bottom")
     box = {"boxstyle": "round,pad=0.25", **_BOX}
     axes.annotate(
-        f"{length:g} {unit}", (0, 0), (0, 7), xycoords=there, textcoords="offset points", fontsize=9, va="bottom",
-        bbox=box, zorder=10,
+        f"{length:g} {unit}", at, offset, xycoords=there, textcoords="offset points", fontsize=9, va=side, bbox=box,
+        zorder=10,
     )  # fmt: skip
 
 
@@ -265,6 +269,9 @@ def show_legend(axes: Axes, entries: Sequence[Entry] = (), *, width_in: float = 
     if not handles:
         return
     columns = int(np.clip(width_in * _CHARS_PER_IN * 1.1 / (max(map(len, texts)) + 7), 1, 6))
+    # The map is to keep its size.
+    figure, rows = figure_of(axes), -(-len(handles) // columns)
+    figure.set_figheight(figure.get_figheight() + rows * _LINE_IN)
     # The texts are set afterwards: a label that begins with _ would be left out.
     legend = axes.legend(
         handles=handles, labels=[" "] * len(handles), loc="upper center", bbox_to_anchor=(0.5, -0.01),
@@ -273,6 +280,21 @@ def show_legend(axes: Axes, entries: Sequence[Entry] = (), *, width_in: float = 
     for shown, text in zip(legend.get_texts(), texts, strict=True):
         shown.set_parse_math(False)
         shown.set_text(text)
+
+
+def class_entries(ids: NDArray[np.uint8], names: Sequence[str]) -> list[Entry]:
+    """Return the legend of a class raster: the classes among `ids`, with their share of what has a class."""
+    found, counts = np.unique(ids[ids != NODATA], return_counts=True)
+    shares = zip(found.tolist(), (counts / max(1, counts.sum())).tolist(), strict=True)
+    return [
+        Entry(class_colour(k), f"{names[k] if k < len(names) and names[k] else k}  {share:.0%}") for k, share in shares
+    ]
+
+
+def class_picture(ids: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Return classes in their colours [rows, cols, 4], transparent where there is none."""
+    colours = np.array([(*rgb_of(class_colour(k)), 255) for k in range(NODATA)] + [(0, 0, 0, 0)], np.uint8)
+    return np.asarray(colours[ids])
 
 
 def shortened(text: str, most: int = _MAX_NAME) -> str:

@@ -88,6 +88,8 @@ def draw_frames(recording: Path, frames: Sequence[Frame], output: Path, *, capti
 
 def _show_frame(axes: Axes, frame: Frame) -> None:
     """Show a picture, its steering as an arrow from the bottom (right is right), and the goal as a tick at the top."""
+    from matplotlib import patheffects
+
     picture = cv2.imread(str(frame.path), cv2.IMREAD_COLOR)
     if picture is None:
         raise InputError(frame.path, "cannot be read as a picture")
@@ -97,10 +99,9 @@ def _show_frame(axes: Axes, frame: Frame) -> None:
     angle = yaw * _TURN_RAD
     foot = (width / 2, height * 0.98)
     tip = (foot[0] + math.sin(angle) * _LENGTH * height, foot[1] - math.cos(angle) * _LENGTH * height)
-    for colour, wide in ((PATH_EDGE, 5.0), (ACCENT, 2.6)):
-        axes.annotate(
-            "", tip, foot, arrowprops={"arrowstyle": "-|>", "color": colour, "lw": wide, "shrinkA": 0, "shrinkB": 0}
-        )
+    edge = [patheffects.withStroke(linewidth=4.8, foreground=PATH_EDGE)]
+    arrow = {"arrowstyle": "-|>", "color": ACCENT, "lw": 2.6, "shrinkA": 0, "shrinkB": 0, "path_effects": edge}
+    axes.annotate("", tip, foot, arrowprops=arrow)
     text = f"{yaw:+.2f}" + (f", pitch {pitch[0]:+.2f}" if pitch else "")
     if frame.goal_rad is not None:
         text += f", goal {math.degrees(frame.goal_rad):+.0f}°"

@@ -11,15 +11,15 @@ from hrt_cli.artifacts.jsonio import read_model
 from hrt_cli.artifacts.plan import PlanDocument, TeamPlanDocument, read_plan, team_members
 from hrt_cli.artifacts.stage import Existing
 from hrt_cli.errors import InputError
-from hrt_cli.raster.classes import NODATA, open_classes
+from hrt_cli.raster.classes import open_classes
 from hrt_cli.raster.grid import Grid
 from hrt_cli.raster.scoremap import read_scoremap
-from hrt_cli.raster.style import class_colour, rgb_of
 from hrt_cli.report.figures.canvas import (
     Backdrop,
     Drawing,
-    Entry,
     begin_drawing,
+    class_entries,
+    class_picture,
     map_canvas,
     read_backdrop,
     show_legend,
@@ -56,18 +56,12 @@ def draw_classes(classes_path: Path, output: Path, *, backdrop: Path | None, exi
         grid = _georeferenced(classes_path) or raster.grid
         values, _ = thinned(raster.read, grid.shape)
         names = raster.names
-    ids, counts = np.unique(values[values != NODATA], return_counts=True)
     base = behind.grid if behind else grid
-    figure, axes = map_canvas(base, f"{len(ids)} texture classes")
-    colours = np.zeros((256, 4), np.uint8)
-    for k in ids.tolist():
-        colours[k] = (*rgb_of(class_colour(k)), 255)
-    axes.imshow(colours[values], extent=extent_on(grid, base), interpolation="nearest")
+    entries = class_entries(values, names)
+    figure, axes = map_canvas(base, f"{len(entries)} texture {'class' if len(entries) == 1 else 'classes'}")
+    axes.imshow(class_picture(values), extent=extent_on(grid, base), interpolation="nearest")
     show_shading(axes, behind, _CLASS_SHADING)
-    shares = zip(ids.tolist(), (counts / counts.sum()).tolist(), strict=True)
-    show_legend(
-        axes, [Entry(class_colour(k), f"{names[k] if k < len(names) else k}  {share:.0%}") for k, share in shares]
-    )
+    show_legend(axes, entries)
     job.publish(figure, trimmed=True)
     return False
 

@@ -10,14 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hrt_cli.artifacts.stage import Existing
-from hrt_cli.raster.classes import NODATA, open_classes
+from hrt_cli.raster.classes import open_classes
 from hrt_cli.raster.gate import is_nodata, open_raster
 from hrt_cli.raster.grid import Grid
-from hrt_cli.raster.style import class_colour, rgb_of
 from hrt_cli.raster.windows import Window
 from hrt_cli.report.figures.canvas import (
-    Entry,
     begin_drawing,
+    class_entries,
+    class_picture,
     figure_of,
     map_axes,
     read_backdrop,
@@ -100,13 +100,8 @@ def _show_truth(axes: Axes, path: Path) -> None:
     with open_classes(path) as raster:
         values, _ = thinned(raster.read, raster.grid.shape, _PANEL_PX)
         grid, names = raster.grid, raster.names
-    ids, counts = np.unique(values[values != NODATA], return_counts=True)
-    colours = np.zeros((256, 4), np.uint8)
-    for k in ids.tolist():
-        colours[k] = (*rgb_of(class_colour(k)), 255)
-    axes.imshow(colours[values], extent=whole(grid), interpolation="nearest")
-    shares = zip(ids.tolist(), (counts / max(1, counts.sum())).tolist(), strict=True)
-    show_legend(axes, [Entry(class_colour(k), f"{names[k]} {share:.0%}") for k, share in shares], width_in=_PANEL_IN)
+    axes.imshow(class_picture(values), extent=whole(grid), interpolation="nearest")
+    show_legend(axes, class_entries(values, names), width_in=_PANEL_IN)
 
 
 def band_of(path: Path, *, nodata: float | None = None, unreferenced: bool = False) -> tuple[Floats, Grid, int]:

@@ -53,7 +53,11 @@ def test_classes_take_the_colour_of_their_truth_and_the_rest_is_grey(pair: tuple
 def test_the_map_of_differences(pair: tuple[Path, Path]) -> None:
     table = evaluate_segmentation(*pair).areas
     with open_classes(pair[0]) as classes, open_classes(pair[1]) as truth:
-        picture = drawn._differences(drawn.thinned(classes.read, classes.grid.shape, drawn.PANEL_PX)[0], drawn.thinned(truth.read, truth.grid.shape, drawn.PANEL_PX)[0], table)
+        picture = drawn._differences(
+            drawn.thinned(classes.read, classes.grid.shape, drawn.PANEL_PX)[0],
+            drawn.thinned(truth.read, truth.grid.shape, drawn.PANEL_PX)[0],
+            table,
+        )
     assert picture.shape == (60, 80, 3)
     right, wrong, unmatched, void = (
         (picture == rgb_of(colour)).all(axis=2).sum()
