@@ -75,6 +75,7 @@ def test_a_log_in_degrees_is_drawn_in_ground_metres_also_across_180(tmp_path: Pa
     assert drawn[0].axes[1].get_ylabel() == "time, s"
 
 
+@pytest.mark.usefixtures("drawn")
 @pytest.mark.parametrize("records", [1, 2])
 def test_a_robot_that_stays_has_a_picture_too(tmp_path: Path, records: int) -> None:
     log = put_drive_log(tmp_path / "d.jsonl", [{"t": 0.0, "lon": 15.0, "lat": 45.0}] * records, None)

@@ -100,6 +100,7 @@ def test_a_team_has_one_picture_and_each_robot_its_line(mission: Mission, tmp_pa
     assert axes.get_title(loc="left").startswith("9 rovers, 36 waypoints, 140 m")
 
 
+@pytest.mark.usefixtures("drawn")
 def test_another_mission_is_another_picture(mission: Mission, tmp_path: Path) -> None:
     draw(tmp_path, [mission])
     other = replace(mission, waypoints_lonlat=mission.waypoints_lonlat[:-1])

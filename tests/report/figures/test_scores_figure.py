@@ -50,6 +50,7 @@ def test_of_very_many_classes_those_are_shown_that_gained() -> None:
     assert "the 40 of 255 classes" in axes.get_title(loc="left")
 
 
+@pytest.mark.usefixtures("drawn")
 def test_it_is_drawn_once_and_again_for_another_table(tmp_path: Path) -> None:
     paths = [tmp_path / "before.json", tmp_path / "after.json"]
     for path, scores in zip(paths, (BEFORE, AFTER), strict=True):
