@@ -14,12 +14,12 @@ from hrt_cli.artifacts.publish import check_target
 from hrt_cli.artifacts.stage import Existing, begin
 from hrt_cli.errors import InputError, OutputError
 from hrt_cli.report.figures.canvas import Drawing, plain
-from hrt_cli.report.figures.palette import SERIES
+from hrt_cli.report.figures.palette import LEARNT
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-STAGE_VERSION = 2
+STAGE_VERSION = 1
 _SMOOTHED = 20
 """A smoothed value is the mean over a twentieth of the iterations, and over three at least."""
 _UNITS = ((1e9, "billion"), (1e6, "million"), (1e3, "thousand"), (1.0, ""))
@@ -118,10 +118,10 @@ def _figure(curve: NDArray[np.float64], steps: int, last: int, caption: str) -> 
     figure = Figure(figsize=(9.0, 5.0), layout="constrained")
     axes = figure.add_subplot()
     axes.set_title(caption, loc="left", fontsize=11)
-    axes.plot(at, curve, color=SERIES, lw=0.8, alpha=0.3, marker="o" if n < 3 else None, label="each iteration")
+    axes.plot(at, curve, color=LEARNT, lw=0.8, alpha=0.3, marker="o" if n < 3 else None, label="each iteration")
     half = max(1, n // (2 * _SMOOTHED))
     if n >= 3:
-        axes.plot(at, smoothed(curve, half), color=SERIES, lw=2.0, label=f"mean of {2 * half + 1} iterations")
+        axes.plot(at, smoothed(curve, half), color=LEARNT, lw=2.0, label=f"mean of {2 * half + 1} iterations")
     reached = f"{final:.1%} at the end" + (f" (mean of the last {last})" if last > 1 else "")
     axes.axhline(final, color="#444444", lw=0.8, ls=(0, (4, 4)), label=reached, zorder=0)
     axes.set_xlim(0, n * 1.02)

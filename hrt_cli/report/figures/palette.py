@@ -12,6 +12,8 @@ BLUE, ORANGE, GREEN, SKY = "#0072b2", "#d55e00", "#009e73", "#56b4e9"
 
 SERIES, ACCENT = BLUE, ORANGE
 """What a curve or histogram shows, and its mean or whatever is picked out in it."""
+LEARNT = "#332288"
+"""The learning curve of a policy."""
 TRAINING, VALIDATION, CONSTANT = "#88ccee", "#332288", "#cc6677"
 """Learning curves: those of the training and validation frames, and what steering by a constant would reach."""
 INK, SOFT, GRID = "#222222", "#888888", "#e0e0e0"
