@@ -157,6 +157,12 @@ def map_axes(axes: Axes, grid: Grid, *, unit: str | None = None) -> None:
     axes.set_xticks([])
     axes.set_yticks([])
     axes.set_facecolor(CANVAS)
+    show_furniture(axes, grid, unit=unit)
+
+
+def show_furniture(axes: Axes, grid: Grid, *, unit: str | None = None) -> None:
+    """Draw scale bar and north arrow on axes in ground metres; see `map_axes`."""
+    width_m, height_m = size_m(grid)
     length = round_length(max(width_m / 5, min(0.7 * width_m, height_m / 12)))
     _scale_bar(axes, length, unit or ("m" if grid.crs is not None else "px"), beside=map_inches(grid)[1] < _LOWEST_IN)
     if grid.crs is not None:

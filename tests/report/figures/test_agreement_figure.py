@@ -71,7 +71,7 @@ def test_the_map_of_differences(pair: tuple[Path, Path]) -> None:
 def test_a_large_raster_is_thinned_as_it_is_read(tmp_path: Path, rows: int) -> None:
     ids = np.broadcast_to((np.arange(2101) // 300).astype(np.uint8), (rows, 2101))
     with open_classes(write(tmp_path / "wide.tif", ids)) as raster:
-        small = drawn._thumbnail(raster)
+        small, _ = drawn.thinned(raster.read, raster.grid.shape, drawn.PANEL_PX)
     assert small.shape == (-(-rows // 4), 526)
     assert np.array_equal(small[0], ids[0, ::4])
 
