@@ -109,7 +109,7 @@ def _draw_raster(
         rasters,
         figure,
         caption=f"{facts['file']}: {_kind(facts)}, {facts['cols']} x {facts['rows']} pixels{pixel}{refused}",
-        picture=found.refusal is None and facts["kind"] in ("orthomosaic", "class raster"),
+        picture=found.refusal is None or facts["kind"] == "class raster",
         bands=bands,
         nodata=nodata,
         unreferenced=unreferenced,

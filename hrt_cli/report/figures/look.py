@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hrt_cli.artifacts.stage import Existing
+from hrt_cli.errors import InputError
 from hrt_cli.raster.files import choose_files
 from hrt_cli.raster.grid import Grid
 from hrt_cli.raster.image import open_orthomosaic
@@ -31,6 +32,8 @@ from hrt_cli.report.figures.site import band_of, show_values
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+
+    Floats = NDArray[np.float64]
 
 STAGE_VERSION = 1
 _HISTOGRAM_IN = 1.7
@@ -74,7 +77,7 @@ def draw_raster(
     Raises
     ------
     InputError, OutputError
-        The raster cannot be read; see `hrt_cli.artifacts.stage.begin`.
+        The raster cannot be read, or values are asked of several; see `hrt_cli.artifacts.stage.begin`.
     """
     inputs = {f"raster/{index}": path for index, path in enumerate(choose_files(paths).files)}
     reading = {"bands": list(bands), "nodata": nodata, "unreferenced": unreferenced, "picture": picture}
@@ -93,7 +96,7 @@ def draw_raster(
         _show_channels(below, rgb[valid])
         share = float(valid.mean())
     else:
-        values, grid, _ = band_of(paths[0], nodata=nodata, unreferenced=unreferenced)
+        values, grid = _values(paths, nodata)
         figure, axes, below = _panels(grid, caption)
         show_values(axes, values, grid, "value of band 1")
         known = values[np.isfinite(values)]
@@ -104,6 +107,17 @@ def draw_raster(
     show_legend(axes, [Entry(CANVAS, f"not valid, {1 - share:.1%}")] if share < 1 else [])
     job.publish(figure, trimmed=True)
     return False
+
+
+def _values(paths: Sequence[Path], nodata: float | None) -> tuple[Floats, Grid]:
+    """Read the first band of a raster, in pixels where it has no georeference."""
+    if len(paths) > 1:
+        raise InputError(paths[0], "only tiles that make a picture are drawn together", "give one of them")
+    try:
+        values, grid, _ = band_of(paths[0], nodata=nodata)
+    except InputError:
+        values, grid, _ = band_of(paths[0], nodata=nodata, unreferenced=True)
+    return values, grid
 
 
 def _panels(grid: Grid, caption: str) -> tuple[Figure, Axes, Axes]:

@@ -11,7 +11,7 @@ from raster_files import UTM33, patches, write_raster
 from world_files import place_of
 
 from hrt_cli.artifacts.stage import REFUSE
-from hrt_cli.errors import OutputError
+from hrt_cli.errors import InputError, OutputError
 from hrt_cli.report.figures.look import draw_raster
 
 
@@ -57,3 +57,14 @@ def test_values_are_shown_with_their_bar(tmp_path: Path, drawn: list[Figure]) ->
     np.testing.assert_array_equal(np.ma.filled(axes.images[0].get_array(), np.nan), heights)
     assert sum(bar.get_height() for bar in below.patches) == 36 * 60
     assert axes.get_legend().get_texts()[0].get_text() == "not valid, 10.0%"
+
+
+def test_values_without_a_place_are_shown_in_pixels(tmp_path: Path, drawn: list[Figure]) -> None:
+    path = write_raster(tmp_path / "d.tif", np.arange(600, dtype=np.float32).reshape(1, 20, 30), crs=None)
+    draw(path, False)
+    assert any(text.get_text().endswith(" px") for text in drawn[0].axes[0].texts)
+    with pytest.raises(InputError, match="give one of them"):
+        draw_raster(
+            [path, put(tmp_path / "e.tif", np.ones((1, 20, 30), np.float32))], tmp_path / "f.png", caption="",
+            picture=False, existing=REFUSE,
+        )  # fmt: skip
