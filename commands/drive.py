@@ -129,7 +129,8 @@ def drive(
 
         caption = (
             f"{local}: {done.end} after {done.distance_m:.0f} m and {done.duration_s:.0f} s, "
-            f"{done.collisions} collisions, {done.interventions} interventions"
+            f"{done.collisions} collision{'s' * (done.collisions != 1)}, "
+            f"{done.interventions} intervention{'s' * (done.interventions != 1)}"
         )
         draw_drive(output, figure, plan=plan, backdrop=world / "ortho.tif", caption=caption, existing=existing)
     for note in done.notes:

@@ -101,15 +101,19 @@ def _draw_raster(
     existing: Existing,
 ) -> None:
     from hrt_cli.report.figures.look import draw_raster
+    from hrt_cli.report.figures.maps import draw_classes
 
     facts = found.facts
+    if facts["kind"] == "class raster" and len(rasters) == 1:
+        draw_classes(rasters[0], figure, backdrop=None, existing=existing)
+        return
     pixel = f" of {facts['pixel_m'][1]:.3g} {'m' if facts['crs'] else 'px'}" if "pixel_m" in facts else ""
     refused = "" if found.refusal is None else "; segment would refuse it"
     draw_raster(
         rasters,
         figure,
         caption=f"{facts['file']}: {_kind(facts)}, {facts['cols']} x {facts['rows']} pixels{pixel}{refused}",
-        picture=found.refusal is None or facts["kind"] == "class raster",
+        picture=found.refusal is None,
         bands=bands,
         nodata=nodata,
         unreferenced=unreferenced,

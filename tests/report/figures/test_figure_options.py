@@ -70,7 +70,10 @@ def test_synth(tmp_path: Path) -> None:
     assert {each.role for each in found.inputs} == {"ortho", "truth", "dsm"}
 
 
-@pytest.mark.parametrize(("name", "stage"), [("ortho.tif", "raster"), ("dsm.tif", "raster"), ("log.jsonl", "drive")])
+@pytest.mark.parametrize(
+    ("name", "stage"),
+    [("ortho.tif", "raster"), ("dsm.tif", "raster"), ("truth.tif", "classes"), ("log.jsonl", "drive")],
+)
 def test_inspect(site: Path, tmp_path: Path, name: str, stage: str) -> None:
     (tmp_path / name).write_bytes((site / name).read_bytes())
     assert stage_of("inspect", tmp_path / name) == f"figure-{stage}"
