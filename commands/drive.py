@@ -88,6 +88,7 @@ Example:
     "--stay", is_flag=True, help="Do not drive: log that the robot stays where it is. Takes no --world, only --after."
 )
 @opt.seed_opt
+@opt.figure_opt
 @opt.existing_options
 @opt.console_options
 def drive(
@@ -105,6 +106,7 @@ def drive(
     time_limit_s: float | None,
     stay: bool,
     seed: int,
+    figure: Path | None,
     existing: Existing,
     console: Console,
 ) -> None:
@@ -121,6 +123,8 @@ def drive(
         raise click.UsageError("--stay and --after are of a PLAN")
     if (local == "steer") != (model is not None):
         raise click.UsageError("--local steer needs a --model, and no other takes one")
+    if figure is not None and world is None:
+        raise click.UsageError("--figure is of a drive on a --world")
     if rescue and local != "steer":
         raise click.UsageError("--rescue is for --local steer")
     from hrt_cli.driving.stage import DriveRequest, drive_file, stay_file
@@ -134,6 +138,16 @@ def drive(
             done = drive_file(
                 plan, world, output, request, after=after, record=record, existing=existing, progress=progress
             )
+    if figure is not None and world is not None:
+        from hrt_cli.report.figures.drive import draw_drive
+        from hrt_cli.world.site import site_files
+
+        caption = (
+            f"{local}: {done.end} after {done.distance_m:.0f} m and {done.duration_s:.0f} s, "
+            f"{done.collisions} collision{'s' * (done.collisions != 1)}, "
+            f"{done.interventions} intervention{'s' * (done.interventions != 1)}"
+        )
+        draw_drive(output, figure, plan=plan, backdrop=site_files(world)["ortho"], caption=caption, existing=existing)
     for note in done.notes:
         console.note(f"Note: {note}")
     state = " (up to date)" if done.up_to_date else ""

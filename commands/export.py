@@ -125,6 +125,8 @@ Example:
     help="Frame of the formats in metres (nav2, moos): UTM less the datum, or metres to its true east and north.",
 )
 @click.option("--datum", type=opt.LonLat(), help="Origin of the local frame. Default: the map's south-west corner.")
+@opt.figure_opt
+@opt.backdrop_opt
 @opt.existing_options
 @opt.console_options
 def export(
@@ -146,6 +148,8 @@ def export(
     keep_outs: tuple[Path, ...],
     frame: Literal["utm", "enu"],
     datum: tuple[float, float] | None,
+    figure: Path | None,
+    backdrop: Path | None,
     existing: Existing,
     console: Console,
 ) -> None:
@@ -184,6 +188,18 @@ def export(
         keep_out_paths=keep_outs,
         existing=existing,
     )
+    if figure is not None:
+        from hrt_cli.report.figures.mission import draw_missions
+
+        draw_missions(
+            plan,
+            done.made,
+            figure,
+            vehicle=vehicle,
+            scoremap=scoremap_path,
+            backdrop=backdrop,
+            existing=existing,
+        )
     for note in done.notes:
         console.note(f"Note: {note}")
     missions = [asdict(each) | {"output": str(each.output)} for each in done.missions]

@@ -85,6 +85,7 @@ Example:
 @_positive(
     "--forget-m", "METRES", None, "Older evidence of a class counts half after so many metres of new. Default: never."
 )
+@opt.figure_opt
 @opt.existing_options
 @opt.console_options
 def feedback(
@@ -101,6 +102,7 @@ def feedback(
     slope_limit: float,
     rugosity_limit: float,
     forget_m: float | None,
+    figure: Path | None,
     existing: Existing,
     console: Console,
 ) -> None:
@@ -128,6 +130,10 @@ def feedback(
             existing=existing,
             progress=progress,
         )
+    if figure is not None:
+        from hrt_cli.report.figures.scores import draw_scores
+
+        draw_scores(output, scores_path, figure, existing=existing)
     for note in done.notes:
         console.note(f"Note: {note}")
     console.result("\n".join(_lines(output, done)), {"output": str(output), **_data(done)})

@@ -12,6 +12,8 @@ from hrt_cli.manual import Command
 from hrt_cli.progress import Console
 
 if TYPE_CHECKING:
+    from hrt_cli.artifacts.stage import Existing
+    from hrt_cli.inspection.drives import LogInspection
     from hrt_cli.inspection.project import Project
     from hrt_cli.inspection.rasters import Inspection
 
@@ -31,9 +33,19 @@ Example:
 @opt.bands_opt
 @opt.nodata_opt
 @opt.unreferenced_opt
+@opt.figure_opt
+@opt.backdrop_opt
+@opt.existing_options
 @opt.console_options
 def inspect(
-    rasters: tuple[Path, ...], bands: tuple[int, ...], nodata: float | None, unreferenced: bool, console: Console
+    rasters: tuple[Path, ...],
+    bands: tuple[int, ...],
+    nodata: float | None,
+    unreferenced: bool,
+    figure: Path | None,
+    backdrop: Path | None,
+    existing: Existing,
+    console: Console,
 ) -> None:
     """Tell what is in a raster, whether `segment` will take it, and roughly what that will cost.
 
@@ -48,22 +60,30 @@ def inspect(
     from hrt_cli.logs.kinds import is_log
 
     if len(rasters) == 1 and is_log(rasters[0]):
-        _print_log(rasters[0], console)
+        log = _print_log(rasters[0], console)
+        if figure is not None:
+            _draw_log(log, rasters[0], figure, backdrop, existing)
         return
     folder = len(rasters) == 1 and rasters[0].is_dir()
     if unreferenced and (folder or len(rasters) > 1):
         raise click.UsageError("--unreferenced is for one plain image")
+    if backdrop is not None:
+        raise click.UsageError("--backdrop is for the figure of a drive log")
+    if figure is not None and folder:
+        raise click.UsageError("--figure is of one raster or log: name one of those in the folder")
     if bands and folder:
         raise click.UsageError("--bands is for rasters: name those in the folder")
     if folder:
         _print_folder(rasters[0], nodata, console)
     else:
-        _print_raster(rasters, bands, nodata, unreferenced, console)
+        found = _print_raster(rasters, bands, nodata, unreferenced, console)
+        if figure is not None:
+            _draw_raster(found, rasters, figure, bands, nodata, unreferenced, existing)
 
 
 def _print_raster(
     rasters: tuple[Path, ...], bands: tuple[int, ...], nodata: float | None, unreferenced: bool, console: Console
-) -> None:
+) -> Inspection:
     from hrt_cli.inspection.project import inspect_tiles
     from hrt_cli.inspection.rasters import inspect_raster
 
@@ -72,6 +92,46 @@ def _print_raster(
     else:
         found = inspect_tiles(list(rasters), named=list(rasters), bands=bands, nodata=nodata)
     console.result("\n".join(_raster_lines(found)), _raster_data(found), only_here=True)
+    return found
+
+
+def _draw_raster(
+    found: Inspection,
+    rasters: tuple[Path, ...],
+    figure: Path,
+    bands: tuple[int, ...],
+    nodata: float | None,
+    unreferenced: bool,
+    existing: Existing,
+) -> None:
+    from hrt_cli.report.figures.look import draw_raster
+    from hrt_cli.report.figures.maps import draw_classes
+
+    facts = found.facts
+    if facts["kind"] == "class raster" and len(rasters) == 1:
+        draw_classes(rasters[0], figure, backdrop=None, existing=existing)
+        return
+    pixel = f" of {facts['pixel_m'][1]:.3g} {'m' if facts['crs'] else 'px'}" if "pixel_m" in facts else ""
+    refused = "" if found.refusal is None else "; segment would refuse it"
+    draw_raster(
+        rasters,
+        figure,
+        caption=f"{facts['file']}: {_kind(facts)}, {facts['cols']} x {facts['rows']} pixels{pixel}{refused}",
+        picture=found.refusal is None,
+        bands=bands,
+        nodata=nodata,
+        unreferenced=unreferenced,
+        existing=existing,
+    )
+
+
+def _draw_log(found: LogInspection, path: Path, figure: Path, backdrop: Path | None, existing: Existing) -> None:
+    from hrt_cli.report.figures.drive import draw_drive
+
+    facts = found.facts
+    distance = "" if facts["distance_m"] is None else f"{facts['distance_m']:.0f} m in "
+    caption = f"{facts['file']}: {distance}{facts['duration_s']:.0f} s, {facts['records']} records"
+    draw_drive(path, figure, backdrop=backdrop, caption=caption, existing=existing)
 
 
 def _print_folder(folder: Path, nodata: float | None, console: Console) -> None:
@@ -156,7 +216,7 @@ def _maker(facts: dict[str, Any]) -> str:
     return f"{facts['made_with']}{by_name}"
 
 
-def _print_log(path: Path, console: Console) -> None:
+def _print_log(path: Path, console: Console) -> LogInspection:
     from hrt_cli.inspection.drives import inspect_log
 
     found = inspect_log(path)
@@ -165,6 +225,7 @@ def _print_log(path: Path, console: Console) -> None:
         {**found.facts, "notes": found.notes, "usable": found.refusal is None, "refusal": found.refusal},
         only_here=True,
     )
+    return found
 
 
 def _log_lines(facts: dict[str, Any], notes: list[str], refusal: str | None) -> list[str]:

@@ -42,6 +42,7 @@ Example:
     help="ugv drives on the ground, auv swims. Default: auv where the site is under water, else ugv.",
 )
 @opt.seed_opt
+@opt.figure_opt
 @opt.existing_options
 @opt.console_options
 def record(
@@ -51,6 +52,7 @@ def record(
     near: float,
     vehicle: str | None,
     seed: int,
+    figure: Path | None,
     existing: Existing,
     console: Console,
 ) -> None:
@@ -70,6 +72,13 @@ def record(
             progress=progress,
             note=console.note,
         )
+    if figure is not None:
+        from hrt_cli.report.figures.frames import draw_frames
+        from hrt_cli.steering.recordings.labels import read_labels
+
+        caption = f"{done.frames} frames, {done.near} with something in the way; seed {seed}"
+        seen = read_labels(output).frames
+        draw_frames(output / "recording.json", seen, figure, caption=caption, existing=existing)
     state = " (up to date)" if done.up_to_date else ""
     console.result(
         f"{output}: {done.frames} frames, {done.near} with something in the way{state}",

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
 from hrt_cli import options as opt
-from hrt_cli.artifacts.stage import Existing
 from hrt_cli.manual import Command
 from hrt_cli.progress import Console
+
+if TYPE_CHECKING:
+    from hrt_cli.artifacts.stage import Existing
 
 
 @click.command(

@@ -73,6 +73,7 @@ Example:
 )
 @opt.skip_bad_opt
 @opt.seed_opt
+@opt.figure_opt
 @opt.existing_options
 @opt.console_options
 def steer(
@@ -87,6 +88,7 @@ def steer(
     batch: int,
     skip_bad: bool,
     seed: int,
+    figure: Path | None,
     existing: Existing,
     console: Console,
 ) -> None:
@@ -113,6 +115,13 @@ def steer(
             progress=progress,
             note=console.note,
         )
+    if figure is not None:
+        from hrt_cli.report.figures.predictions import draw_predictions
+        from hrt_cli.steering.prediction.predictions import read_predictions
+
+        found = read_predictions(output)
+        caption = f"{model.name}: {done.frames} frames, {done.two_ways} in which it sees two ways"
+        draw_predictions(output, found.frames, found.model.outputs, figure, caption=caption, existing=existing)
     rate = done.frames / done.seconds if done.seconds > 0 else None
     state = "up to date" if done.up_to_date else f"{done.seconds:.1f} s"
     angles = ", ".join(f"{name} {mean:+.3f} (sd {done.mean_spread[name]:.3f})" for name, mean in done.mean.items())

@@ -39,10 +39,18 @@ Example:
     "--pixel", "pixel_m", type=opt.FiniteFloat(0.01, 0.5), default=0.05, show_default=True, help="Side of a pixel."
 )
 @opt.seed_opt
+@opt.figure_opt
 @opt.existing_options
 @opt.console_options
 def synth(
-    folder: Path, scene: str, size_m: float, pixel_m: float, seed: int, existing: Existing, console: Console
+    folder: Path,
+    scene: str,
+    size_m: float,
+    pixel_m: float,
+    seed: int,
+    figure: Path | None,
+    existing: Existing,
+    console: Console,
 ) -> None:
     """Make a sample site in FOLDER that looks like an aerial photograph.
 
@@ -56,6 +64,11 @@ def synth(
         done = synthesize(
             folder, SiteSpec(scene, (size_m, size_m), pixel_m, seed), existing=existing, progress=progress
         )
+    if figure is not None:
+        from hrt_cli.report.figures.site import draw_site
+
+        caption = f"sample site: {scene}, {size_m:g} x {size_m:g} m, pixels of {pixel_m:g} m, seed {seed}"
+        draw_site(done.files, figure, caption=caption, existing=existing)
     rows, cols = done.shape
     state = "up to date" if done.up_to_date else f"{rows} x {cols} pixels"
     console.result(

@@ -23,7 +23,7 @@ FAMILIES = ("gaussians", "noise", "classes", "obstacles", "speckle", "islands", 
     sections={
         "Maps": "--family --map-side --maps-per-iteration --eight",
         "Training": "--estimator --features --iterations --rollouts --budget --learning-rate --trace-decay --seed",
-        "Output": "--curve",
+        "Output": "--figure",
     },
     files=".OUTPUT.hrt-checkpoint, beside the output, keeps a training that was stopped.",
     keys=(
@@ -39,7 +39,7 @@ FAMILIES = ("gaussians", "noise", "classes", "obstacles", "speckle", "islands", 
     see_also=("plan",),
     epilog="""\b
 Example:
-  hrt train-plan -o policy.npz --iterations 20 --seed 1 --curve curve.png
+  hrt train-plan -o policy.npz --iterations 20 --seed 1 --figure curve.png
 """,
 )
 @click.argument("scoremaps", nargs=-1, type=opt.SCOREMAP)
@@ -101,9 +101,11 @@ Example:
 @click.option("--map-side", type=click.IntRange(4, 1024), help="Cells across a generated map. Default: 64.")
 @opt.seed_opt
 @click.option(
+    "--figure",
     "--curve",
+    "curve",
     type=opt.File("CURVE.png", ".json", writes=True),
-    help="Also write the learning curve: a figure (.png) or numbers (.json).",
+    help="Also write the learning curve: a figure (.png) or its numbers (.json).",
 )
 @opt.existing_options
 @opt.console_options

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
         "Training": "--epochs --batch --learning-rate --weight-decay --patience --balance --augment",
         "Computing": "--threads --precision --seed",
         "Held out": "--validation --split --share --gap",
-        "Output": "--curve --metrics",
+        "Output": "--figure --metrics",
     },
     files=".OUTPUT.hrt-checkpoint, beside the output, keeps a training that was stopped.",
     keys=(
@@ -49,7 +49,7 @@ if TYPE_CHECKING:
 Example:
   hrt synth site --scene meadow --size 30
   hrt drive --world site --roam 30 --local expert --disturb 0.3 --record site/frames -o site/drive.jsonl
-  hrt train-steer site/frames -o site/steer.safetensors --size 64x48 --epochs 1 --curve site/steer.png
+  hrt train-steer site/frames -o site/steer.safetensors --size 64x48 --epochs 1 --figure site/steer.png
 """,
 )
 @click.argument("data", nargs=-1, required=True, type=opt.FOLDER)
@@ -173,7 +173,13 @@ Example:
     show_default=True,
     help="auto: bf16 where the machine computes it natively. The result depends on it.",
 )
-@click.option("--curve", type=opt.File("CURVE.png", writes=True), help="Also draw the learning curves as a PNG.")
+@click.option(
+    "--figure",
+    "--curve",
+    "curve",
+    type=opt.File("CURVE.png", writes=True),
+    help="Also draw the learning curves as a PNG.",
+)
 @click.option(
     "--metrics", type=opt.File("METRICS.jsonl", writes=True), help="Also write the figures of each epoch as JSON Lines."
 )

@@ -291,9 +291,34 @@ unreferenced_opt = click.option(
     "--unreferenced", is_flag=True, help="Accept a plain image without georeference: lengths are pixels."
 )
 
-figure_opt = click.option("--figure", type=File("FIGURE.png", writes=True), help="Also draw the result as a PNG.")
 
-backdrop_opt = click.option("--backdrop", type=RASTER, help="Orthomosaic to draw the figure on.")
+def _figure(ctx: click.Context, param: click.Parameter, value: Path | None) -> Path | None:
+    """Refuse what can be no figure at once, not after the work that it shows."""
+    if value is not None:
+        from hrt_cli.artifacts.publish import check_target
+
+        if value.suffix.lower() != ".png":
+            raise click.BadParameter("a figure is a PNG: choose a name that ends in .png")
+        check_target(value, [])
+    return value
+
+
+def _backdrop(ctx: click.Context, param: click.Parameter, value: Path | None) -> Path | None:
+    if value is not None and ctx.params.get("figure") is None:
+        raise click.BadParameter("is for a --figure: give one")
+    return value
+
+
+# Eager, so that it is known when --backdrop asks for it.
+figure_opt = click.option(
+    "--figure",
+    type=File("FIGURE.png", writes=True),
+    is_eager=True,
+    callback=_figure,
+    help="Also draw the result as a PNG.",
+)
+
+backdrop_opt = click.option("--backdrop", type=RASTER, callback=_backdrop, help="Orthomosaic to draw the figure on.")
 
 
 def _bands(text: str | None) -> tuple[int, ...]:

@@ -153,7 +153,7 @@ class Mission:
 
     `home` is the plan's start at altitude 0; `stops` are the waypoints, start included; `lonlat` is the whole walk;
     `length_m` is that of the legs between the stops, `time_s` what they take at the mission's speed, with the holds.
-    `passed_by` counts the plan's cells that the robot does not enter, for it drives straight past them within the
+    `missed` are the plan's cells that the robot does not enter, for it drives straight past them within the
     tolerance. `fence` has no polygons where no areas were given.
     """
 
@@ -166,7 +166,7 @@ class Mission:
     speed_m_s: float
     length_m: float
     time_s: float
-    passed_by: int = 0
+    missed: tuple[Cell, ...] = ()
     fence: Fence = NO_FENCE
 
     @property
@@ -265,7 +265,7 @@ def mission_of(plan: PlanDocument, options: MissionOptions, go: Bools | None = N
         speed_m_s=speed_m_s,
         length_m=length_m,
         time_s=time_s,
-        passed_by=passed_by(plan.cells, steps),
+        missed=tuple(passed_by(plan.cells, steps)),
     )
 
 

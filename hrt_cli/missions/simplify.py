@@ -101,13 +101,21 @@ def _straight(walk: Ints, tolerance: float, go: Bools) -> bool:
     return bool(go[entered(tuple(start.tolist()), tuple(end.tolist()))].all())
 
 
-def passed_by(cells: Sequence[tuple[int, int]], steps: Sequence[int]) -> int:
-    """Return how many of the cells of a walk are not entered by the straight lines between its cells at `steps`."""
+def passed_by(cells: Sequence[tuple[int, int]], steps: Sequence[int]) -> list[tuple[int, int]]:
+    """Return the cells of a walk that the straight lines between its cells at `steps` do not enter, by row and column.
+
+    Parameters
+    ----------
+    cells : sequence of (row, col)
+        The walk.
+    steps : sequence of int
+        Steps of the walk, rising.
+    """
     met = {cells[step] for step in steps}
     for before, step in pairwise(steps):
         rows, cols = entered(cells[before], cells[step])
         met |= set(zip(rows.tolist(), cols.tolist(), strict=True))
-    return len(set(cells) - met)
+    return sorted(set(cells) - met)
 
 
 def visited(cells: Sequence[tuple[int, int]], shape: tuple[int, int]) -> Bools:

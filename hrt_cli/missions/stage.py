@@ -35,7 +35,7 @@ Content = bytes | dict[str, bytes]
 
 @dataclass(frozen=True)
 class Exported:
-    """One mission: where it was written, and what it is; `passed_by` as in `Mission`."""
+    """One mission: where it was written, and what it is; `passed_by` counts the cells that `Mission` has missed."""
 
     output: Path
     up_to_date: bool
@@ -48,11 +48,15 @@ class Exported:
 
 @dataclass(frozen=True)
 class Export:
-    """What the export stage wrote: the format, the missions (one for each robot), and what the user ought to know."""
+    """What the export stage wrote: the format, the missions (one for each robot), and what the user ought to know.
+
+    `made` are the missions themselves, to be drawn.
+    """
 
     format: str
     missions: list[Exported]
     notes: list[str] = field(default_factory=list)
+    made: list[Mission] = field(default_factory=list)
 
 
 def export_missions(
@@ -112,7 +116,7 @@ def export_missions(
         else:
             _publish(path, content)
         shortest_m = min(mission.legs_m, default=0.0)
-        figures = len(mission.stops), mission.length_m, mission.time_s, shortest_m, mission.passed_by
+        figures = len(mission.stops), mission.length_m, mission.time_s, shortest_m, len(mission.missed)
         missions.append(Exported(path, up_to_date, *figures))
     notes = _notes(target, [mission for _, mission, _ in made])
     if scoremap is not None and target.is_folder(output) and not graded(scoremap):
@@ -122,7 +126,7 @@ def export_missions(
         )
     if scoremap_path is not None and target.name == "qgc":
         notes += _forgotten(scoremap_path, [path for path in (aoi_path, *keep_out_paths) if path is not None])
-    return Export(target.name, missions, notes)
+    return Export(target.name, missions, notes, [mission for _, mission, _ in made])
 
 
 def _open_cells(path: Path, plan: PlanDocument, scoremap_path: Path, scoremap: Scoremap) -> Bools:
@@ -188,7 +192,7 @@ def _notes(target: Format, missions: Sequence[Mission]) -> list[str]:
             f"waypoints are as little as {shortest_m:.2g} m apart: set WP_RADIUS (by default {_WP_RADIUS_M:g} m) below"
             " that, or the robot cuts corners; --tolerance makes fewer and longer legs"
         )
-    missed = sum(mission.passed_by for mission in missions)
+    missed = sum(len(mission.missed) for mission in missions)
     if missed:
         notes.append(f"{missed} cells of the plan are passed within the tolerance, not entered")
     if target.name != "qgc" and any(mission.fence != NO_FENCE for mission in missions):

@@ -141,12 +141,21 @@ class _RunningHash:
 
 
 class CogWriter:
-    """Takes the pixels of a raster being written, in any order of windows."""
+    """Takes the pixels of a raster being written, in any order of windows.
 
-    def __init__(self, dataset: DatasetWriter) -> None:
+    Attributes
+    ----------
+    tags : dict
+        What joins the layout's tags.
+    style : str or None
+        The text of the `.qml`: the layout's, or another that is known only when all is written.
+    """
+
+    def __init__(self, dataset: DatasetWriter, style: str | None) -> None:
         self._dataset = dataset
         self._running = _RunningHash(dataset)
         self.tags: dict[str, Any] = {}
+        self.style = style
 
     @property
     def content(self) -> str | None:
@@ -166,7 +175,7 @@ class CogWriter:
 def publishing_cog(target: Path, grid: Grid, layout: Layout, provenance: Provenance) -> Iterator[CogWriter]:
     """Yield a writer; on a clean exit the GeoTIFF (and its style) is published as `target`.
 
-    `writer.tags` may be filled while writing with what is only known then; they join `layout.tags`.
+    `writer.tags` and `writer.style` may be set while writing to what is only known then.
 
     Raises
     ------
@@ -188,15 +197,13 @@ def publishing_cog(target: Path, grid: Grid, layout: Layout, provenance: Provena
 
     with publishing(target, check) as draft:
         work = draft.with_name("work.tif")
-        if layout.style is not None:
-            draft.with_suffix(".qml").write_text(layout.style, encoding="utf-8")
         try:
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore", NotGeoreferencedWarning)
                 with rasterio.Env(GDAL_TIFF_INTERNAL_MASK=True):
                     with rasterio.open(work, "w", **_work_profile(grid, layout)) as dataset:
                         _describe(dataset, layout)
-                        writer = CogWriter(dataset)
+                        writer = CogWriter(dataset, layout.style)
                         yield writer
                     digest = writer.content or _content_of(work)
                     _tag(work, {**layout.tags, **writer.tags}, provenance.with_content(digest))
@@ -206,6 +213,8 @@ def publishing_cog(target: Path, grid: Grid, layout: Layout, provenance: Provena
         except _GDAL_ERRORS as error:
             raise _write_error(target, str(error.__cause__ or error), work_bytes) from error
         work.unlink()
+        if writer.style is not None:
+            draft.with_suffix(".qml").write_text(writer.style, encoding="utf-8")
 
 
 def cog_provenance(path: Path) -> Provenance | None:

@@ -20,6 +20,7 @@ from hrt_cli.raster.cog import cog_provenance
 from hrt_cli.raster.gate import open_raster
 from hrt_cli.raster.image import Image, open_orthomosaic
 from hrt_cli.raster.recognise import require_picture
+from hrt_cli.raster.style import class_qml
 from hrt_cli.texture.cells import Cells, Filler, measured, rows_at_once
 from hrt_cli.texture.cluster import best, cluster, consider
 from hrt_cli.texture.grow import MIN_SHARE, grow, novel
@@ -28,7 +29,7 @@ from hrt_cli.texture.segment import SegmentSpec, SegmentStats, draw_sample, pred
 from hrt_cli.texture.start import spare_linear_algebra
 
 STAGE = "segment"
-STAGE_VERSION = 4
+STAGE_VERSION = 5
 
 
 @dataclass(frozen=True)
@@ -305,6 +306,7 @@ def _write(
         stats = predict(cells, model, writer.write, block_px=work.block_px, workers=work.workers, progress=progress)
         if not any(stats.class_pixels):
             raise InputError(image.raster.path, "has no patch that is at least half valid: nothing could be classified")
+        writer.style = class_qml(names, stats.class_fractions)
         writer.tags["stats"] = asdict(stats)
         writer.tags["extras"] = extras
     return Found(stats, table, **extras)

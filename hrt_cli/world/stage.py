@@ -18,9 +18,10 @@ from hrt_cli.artifacts.provenance import Provenance
 from hrt_cli.artifacts.stage import REFUSE, Existing, begin
 from hrt_cli.errors import OutputError
 from hrt_cli.progress import Progress, silent
-from hrt_cli.raster.classes import publishing_classes
+from hrt_cli.raster.classes import NODATA, publishing_classes
 from hrt_cli.raster.cog import Layout, cog_provenance, publishing_cog
 from hrt_cli.raster.grid import Grid
+from hrt_cli.raster.style import class_qml
 from hrt_cli.raster.windows import Window
 from hrt_cli.world.synth import Site, SiteSpec, make_site
 
@@ -110,6 +111,8 @@ def _write_rasters(files: dict[str, Path], site: Site, grid: Grid, provenance: P
     names = list(site.class_names)
     with publishing_classes(files["truth"], grid, names, provenance, tags={}, creation={}) as writer:
         writer.write(whole, site.truth)
+        counts = np.bincount(site.truth[site.truth != NODATA], minlength=len(names))
+        writer.style = class_qml(names, (counts / max(1, counts.sum())).tolist())
     _write_field(files["dsm"], "height above the datum in metres", site.dsm, DSM_STEP_M, grid, provenance)
     if site.thermal_c is not None:
         _write_field(

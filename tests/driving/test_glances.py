@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from world_files import ground_site, put_world
 
 from hrt_cli.artifacts.carriers import json_provenance
+from hrt_cli.artifacts.png import png_provenance
 from hrt_cli.driving.album import Lesson
 from hrt_cli.driving.elsewhere import GOALS
 from hrt_cli.driving.glances import IN_ONE_WEATHER, Glances
@@ -159,8 +160,11 @@ class TestCommand:
 
     def test_a_folder_of_any_name(self, world: Path, tmp_path: Path) -> None:
         folder = tmp_path / 'north, "steep" side'
-        assert self.record(world, "-o", folder, "--frames", 2).exit_code == 0
+        assert self.record(world, "-o", folder, "--frames", 2, "--figure", tmp_path / "f.png").exit_code == 0
         assert read_samples([folder]).sessions == (f"{folder.name}/{folder.name}-0-0",)
+        sheet = png_provenance(tmp_path / "f.png")
+        assert sheet is not None
+        assert [each.name for each in sheet.inputs] == ["recording.json"]
 
     def test_it_is_not_made_twice_and_not_replaced_unasked(self, world: Path, tmp_path: Path) -> None:
         folder = tmp_path / "g"

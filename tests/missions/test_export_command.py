@@ -16,6 +16,7 @@ from mission_samples import ADELAIDE, UTM_SOUTH, transform_at
 from nav2_reader import keepout_cost, load_graph, load_map
 from rasterio.crs import CRS
 
+from hrt_cli.artifacts.png import png_provenance
 from hrt_cli.artifacts.provenance import InputRecord, Provenance, file_sha256
 from hrt_cli.main import cli
 from hrt_cli.missions.formats import FORMATS
@@ -72,6 +73,18 @@ def test_every_format_is_written_and_then_up_to_date(name: str, site: Path, tmp_
     content = output.read_bytes()
     assert run("export", site / "plan.json", "-o", output)["up_to_date"]
     assert output.read_bytes() == content
+
+
+@pytest.mark.parametrize(("plan", "suffix"), [("plan.json", ".gpx"), ("team.json", ".plan")])
+def test_the_mission_is_drawn_alike_for_every_format(plan: str, suffix: str, site: Path, tmp_path: Path) -> None:
+    words = ["export", site / plan, "--figure", tmp_path / "f.png", "--tolerance", 3, "--scoremap", site / "map.tif"]
+    run(*words, "-o", tmp_path / f"m{suffix}")
+    before = (tmp_path / "f.png").read_bytes()
+    run(*words, "-o", tmp_path / "m.kml")  # the figure is up to date, or this would be refused
+    assert (tmp_path / "f.png").read_bytes() == before
+    found = png_provenance(tmp_path / "f.png")
+    assert found is not None
+    assert [each.role for each in found.inputs] == ["plan", "scoremap"]
 
 
 def test_a_nav2_folder_holds_all_its_files_and_is_then_up_to_date(site: Path, tmp_path: Path) -> None:

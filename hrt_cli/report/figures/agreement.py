@@ -2,36 +2,31 @@
 
 from __future__ import annotations
 
-import io
 from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hrt_cli.artifacts.png import png_provenance, publish_png
-from hrt_cli.artifacts.stage import Existing, begin
-from hrt_cli.raster.classes import NODATA, ClassRaster, open_classes
+from hrt_cli.artifacts.stage import Existing
+from hrt_cli.raster.classes import NODATA, open_classes
 from hrt_cli.raster.grid import Grid, require_same_grid
 from hrt_cli.raster.style import class_colour, rgb_of
-from hrt_cli.raster.windows import Window
+from hrt_cli.report.figures.canvas import begin_drawing, map_axes, show_caption, show_title, size_m, thinned
+from hrt_cli.report.figures.palette import MATRIX_RAMP, RIGHT, UNMATCHED, VOID, WRONG
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-STAGE_VERSION = 1
+STAGE_VERSION = 2
 PANEL_PX = 700
-_RIGHT_COLOUR = "#d9d9d9"
-_WRONG_COLOUR = "#c1272d"
-_UNMATCHED_COLOUR = "#f2a25c"
-_VOID_COLOUR = "#ffffff"
-_MATRIX_RAMP = ("#ffffff", "#332288")
 _GREYS = (60, 190)
 _PANEL_INCHES = 5.2
 _MAX_LABELLED = 16
 """Classes up to which matrix and legend are labelled: more would not be legible."""
 _MAX_NAME = 16
+_CAPTION_CHARS = 120
 _SHOWN_SHARE = 0.005
 
 
@@ -87,9 +82,8 @@ def draw_agreement(
     """
     inputs = {"classes": classes_path, "truth": truth_path}
     parameters = {"caption": caption, "unreferenced": unreferenced}
-    outputs = {output: png_provenance}
-    job = begin(
-        "figure-agreement", STAGE_VERSION, inputs=inputs, parameters=parameters, outputs=outputs, existing=existing
+    job = begin_drawing(
+        "figure-agreement", STAGE_VERSION, inputs=inputs, output=output, existing=existing, parameters=parameters
     )
     if job.up_to_date:
         return True
@@ -98,20 +92,11 @@ def draw_agreement(
         open_classes(truth_path, unreferenced=unreferenced) as truth,
     ):
         require_same_grid(classes_path, classes.grid, truth_path, truth.grid)
-        ids, true_ids = _thumbnail(classes), _thumbnail(truth)
+        ids, true_ids = (thinned(each.read, each.grid.shape, PANEL_PX)[0] for each in (classes, truth))
         grid, names = truth.grid, truth.names
     figure = _figure(grid, ids, true_ids, table, names, caption)
-    buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", dpi=110, metadata={"Software": None})
-    publish_png(output, buffer.getvalue(), job.provenance)
+    job.publish(figure)
     return False
-
-
-def _thumbnail(raster: ClassRaster) -> NDArray[np.uint8]:
-    """Read every n-th pixel, so that neither side has more than `PANEL_PX`."""
-    rows, cols = raster.grid.shape
-    step = max(1, -(-max(rows, cols) // PANEL_PX))
-    return np.stack([raster.read(Window(row, 0, 1, cols))[0, ::step] for row in range(0, rows, step)])
 
 
 def _figure(
@@ -119,11 +104,10 @@ def _figure(
 ) -> Figure:
     from matplotlib.figure import Figure
 
-    row_m, col_m = grid.pixel_m
-    height, width = grid.rows * row_m, grid.cols * col_m
+    width, height = size_m(grid)
     inches = float(np.clip(_PANEL_INCHES * height / width, 3.0, 8.0))
     figure = Figure(figsize=(2 * _PANEL_INCHES + 0.6, 2 * inches + 1.4), layout="constrained")
-    figure.suptitle(caption, x=0.01, ha="left", fontsize=11)
+    show_caption(figure, caption, _CAPTION_CHARS)
     (truth_axes, class_axes), (error_axes, matrix_axes) = figure.subplots(2, 2)
     true_colours, colours = _colours(table)
     differing = 1 - _matched_pixels(table) / table.confusion.sum()
@@ -134,9 +118,8 @@ def _figure(
         (error_axes, _differences(ids, true_ids, table), f"where they differ: {differing:.1%}"),
     ):
         axes.imshow(picture, extent=(0.0, width, height, 0.0), interpolation="nearest")
-        axes.set_xticks([])
-        axes.set_yticks([])
-        axes.set_title(title, loc="left", fontsize=10)
+        map_axes(axes, grid)
+        show_title(axes, title, _PANEL_INCHES, size=10)
     _show_matrix(matrix_axes, table, names)
     _legend(figure, table, names, colours, true_colours)
     return figure
@@ -147,8 +130,8 @@ def _colours(table: Table) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
 
     Every class that the matching left out gets its own grey, from dark to light.
     """
-    truth = np.array([rgb_of(class_colour(k)) for k in range(NODATA)] + [rgb_of(_VOID_COLOUR)], np.uint8)
-    classes = np.full_like(truth, rgb_of(_VOID_COLOUR))
+    truth = np.array([rgb_of(class_colour(k)) for k in range(NODATA)] + [rgb_of(VOID)], np.uint8)
+    classes = np.full_like(truth, rgb_of(VOID))
     for k, true_id in table.matching.items():
         classes[k] = truth[true_id]
     rest = _unmatched(table)
@@ -172,10 +155,10 @@ def _differences(ids: NDArray[np.uint8], true_ids: NDArray[np.uint8], table: Tab
     for k, true_id in table.matching.items():
         expected[k] = true_id
     picture = np.empty((*ids.shape, 3), np.uint8)
-    picture[...] = rgb_of(_RIGHT_COLOUR)
-    picture[expected[ids] != true_ids] = rgb_of(_WRONG_COLOUR)
-    picture[np.isin(ids, _unmatched(table))] = rgb_of(_UNMATCHED_COLOUR)
-    picture[(ids == NODATA) | (true_ids == NODATA)] = rgb_of(_VOID_COLOUR)
+    picture[...] = rgb_of(RIGHT)
+    picture[expected[ids] != true_ids] = rgb_of(WRONG)
+    picture[np.isin(ids, _unmatched(table))] = rgb_of(UNMATCHED)
+    picture[(ids == NODATA) | (true_ids == NODATA)] = rgb_of(VOID)
     return picture
 
 
@@ -189,7 +172,7 @@ def _show_matrix(axes: Axes, table: Table, names: list[str]) -> None:
     classes = [class_of[t] for t in truths if t in class_of] + _unmatched(table)
     counts = table.confusion[[table.class_ids.index(k) for k in classes]][:, [table.truth_ids.index(t) for t in truths]]
     share = (counts / counts.sum(axis=0)).T
-    ramp = LinearSegmentedColormap.from_list("share", list(_MATRIX_RAMP))
+    ramp = LinearSegmentedColormap.from_list("share", list(MATRIX_RAMP))
     axes.imshow(share, cmap=ramp, vmin=0, vmax=1, aspect="auto")
     axes.set_title("share of each truth (row) in each class (column)", loc="left", fontsize=10)
     axes.tick_params(length=0, labelsize=8)
@@ -211,9 +194,9 @@ def _legend(
 
     entries = [(_name(names, t), true_colours[t]) for t in table.truth_ids]
     entries += [(f"class {k}, unmatched", colours[k]) for k in _unmatched(table)]
-    entries = [*entries[:_MAX_LABELLED], ("differs: another's class", np.array(rgb_of(_WRONG_COLOUR)))]
+    entries = [*entries[:_MAX_LABELLED], ("differs: another's class", np.array(rgb_of(WRONG)))]
     if _unmatched(table):
-        entries.append(("differs: unmatched class", np.array(rgb_of(_UNMATCHED_COLOUR))))
+        entries.append(("differs: unmatched class", np.array(rgb_of(UNMATCHED))))
     patches = [Patch(facecolor=tuple(rgb / 255), edgecolor="black", lw=0.5, label=text) for text, rgb in entries]
     figure.legend(handles=patches, loc="outside lower center", ncols=6, fontsize=9, frameon=False)
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -10,16 +9,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hrt_cli.artifacts.carriers import json_provenance, publish_json, read_stamped_npz
-from hrt_cli.artifacts.png import png_provenance, publish_png
+from hrt_cli.artifacts.png import png_provenance
 from hrt_cli.artifacts.publish import check_target
 from hrt_cli.artifacts.stage import Existing, begin
 from hrt_cli.errors import InputError, OutputError
+from hrt_cli.report.figures.canvas import Drawing, plain
+from hrt_cli.report.figures.palette import LEARNT
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 STAGE_VERSION = 1
-_COLOUR = "#332288"
 _SMOOTHED = 20
 """A smoothed value is the mean over a twentieth of the iterations, and over three at least."""
 _UNITS = ((1e9, "billion"), (1e6, "million"), (1e3, "thousand"), (1.0, ""))
@@ -91,9 +91,7 @@ def draw_curve(policy_path: Path, output: Path, *, steps: int, last: int, captio
         numbers = {"iterations": curve.size, "steps": steps, "final_share": float(curve[-last:].mean())}
         publish_json(output, {**numbers, "learning_curve": curve.tolist()}, job.provenance)
     else:
-        buffer = io.BytesIO()
-        _figure(curve, steps, last, caption).savefig(buffer, format="png", dpi=110, metadata={"Software": None})
-        publish_png(output, buffer.getvalue(), job.provenance)
+        Drawing(output, job.provenance, up_to_date=False).publish(_figure(curve, steps, last, caption))
     return False
 
 
@@ -120,10 +118,10 @@ def _figure(curve: NDArray[np.float64], steps: int, last: int, caption: str) -> 
     figure = Figure(figsize=(9.0, 5.0), layout="constrained")
     axes = figure.add_subplot()
     axes.set_title(caption, loc="left", fontsize=11)
-    axes.plot(at, curve, color=_COLOUR, lw=0.8, alpha=0.3, marker="o" if n < 3 else None, label="each iteration")
+    axes.plot(at, curve, color=LEARNT, lw=0.8, alpha=0.3, marker="o" if n < 3 else None, label="each iteration")
     half = max(1, n // (2 * _SMOOTHED))
     if n >= 3:
-        axes.plot(at, smoothed(curve, half), color=_COLOUR, lw=2.0, label=f"mean of {2 * half + 1} iterations")
+        axes.plot(at, smoothed(curve, half), color=LEARNT, lw=2.0, label=f"mean of {2 * half + 1} iterations")
     reached = f"{final:.1%} at the end" + (f" (mean of the last {last})" if last > 1 else "")
     axes.axhline(final, color="#444444", lw=0.8, ls=(0, (4, 4)), label=reached, zorder=0)
     axes.set_xlim(0, n * 1.02)
@@ -132,9 +130,7 @@ def _figure(curve: NDArray[np.float64], steps: int, last: int, caption: str) -> 
     axes.yaxis.set_major_formatter(PercentFormatter(1.0, decimals=None))
     axes.set_xlabel("iteration")
     axes.set_ylabel("share of the best cells that a rollout collects")
-    axes.grid(color="#e0e0e0", lw=0.6)
-    axes.set_axisbelow(True)
-    axes.spines[["top", "right"]].set_visible(False)
+    plain(axes)
     unit, word = next((unit, word) for unit, word in _UNITS if steps >= unit or unit == 1.0)
     scale = steps / n / unit
     # matplotlib passes arrays, whatever its stubs allow.

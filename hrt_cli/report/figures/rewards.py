@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import os
 from collections import Counter
 from collections.abc import Sequence
@@ -14,10 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hrt_cli.artifacts.plan import team_members
-from hrt_cli.artifacts.png import png_provenance, publish_png
-from hrt_cli.artifacts.provenance import Provenance
-from hrt_cli.artifacts.stage import Existing, begin
-from hrt_cli.raster.style import class_colour
+from hrt_cli.artifacts.stage import Existing
+from hrt_cli.report.figures.canvas import Drawing, begin_drawing, shortened
+from hrt_cli.report.figures.palette import BOUND, METHODS, plan_colour
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -25,19 +23,7 @@ if TYPE_CHECKING:
 
     Floats = NDArray[np.float64]
 
-STAGE_VERSION = 1
-# The scheme of Okabe and Ito (2008), told apart by colour-blind readers; a method has its colour in every figure.
-_METHOD_COLOURS = {
-    "refined": "#0072b2",
-    "policy": "#d55e00",
-    "rectangle": "#009e73",
-    "greedy": "#56b4e9",
-    "spiral": "#cc79a7",
-    "lawnmower": "#e69f00",
-    "random": "#8c8c8c",
-}
-_PLAN_COLOURS = ("#111111", "#332288", "#882255", "#117733", "#999933")
-_BOUND_COLOUR = "#444444"
+STAGE_VERSION = 2
 _WIDTHS = {"plan": 3.2, "planner": 1.7, "baseline": 1.2}
 _MEAN_WIDTHS = {"planner": 2.6, "baseline": 1.4}
 _BAND_ALPHA = {"planner": 0.16, "baseline": 0.07}
@@ -97,25 +83,24 @@ class RewardFigure:
 
     Attributes
     ----------
-    up_to_date : bool
-        Whether the figure is there already; `draw` then leaves it.
+    drawing : Drawing
     labels : dict of str to str
         What the plans are called in it, by their path.
     """
 
-    output: Path
-    provenance: Provenance
-    up_to_date: bool
+    drawing: Drawing
     labels: dict[str, str]
+
+    @property
+    def up_to_date(self) -> bool:
+        """Whether the figure is there already; `draw` then leaves it."""
+        return self.drawing.up_to_date
 
     def draw(self, chart: Chart) -> None:
         """Draw the curves of `chart`, plans thick and baselines thin, with the bound as a dashed line."""
         if self.up_to_date:
             return
-        figure = _figure(chart, self.labels)
-        buffer = io.BytesIO()
-        figure.savefig(buffer, format="png", dpi=110, metadata={"Software": None})
-        publish_png(self.output, buffer.getvalue(), self.provenance)
+        self.drawing.publish(_figure(chart, self.labels))
 
 
 def begin_figure(
@@ -148,15 +133,11 @@ def begin_figure(
     inputs = {"scoremap": scoremap_path} | {f"plan/{index}": path for index, path in enumerate(plan_paths)}
     for role, path in list(inputs.items())[1:]:
         inputs |= {f"{role}/{robot}": member for robot, member in enumerate(team_members(path))}
-    job = begin(
-        "figure-rewards",
-        STAGE_VERSION,
-        inputs=inputs,
-        parameters=parameters | {"labels": list(labels.values())},
-        outputs={output: png_provenance},
-        existing=existing,
+    given = parameters | {"labels": list(labels.values())}
+    job = begin_drawing(
+        "figure-rewards", STAGE_VERSION, inputs=inputs, output=output, existing=existing, parameters=given
     )
-    return RewardFigure(output, job.provenance, job.up_to_date, labels)
+    return RewardFigure(job, labels)
 
 
 def _labels(paths: tuple[Path, ...]) -> dict[str, str]:
@@ -165,7 +146,7 @@ def _labels(paths: tuple[Path, ...]) -> dict[str, str]:
     names = {path: os.fsencode(Path(path).name).decode("utf-8", "backslashreplace") for path in distinct}
     often = Counter(names.values())
     return {
-        path: (f"{index} " if often[name] > 1 else "") + (name if len(name) <= _MAX_NAME else f"{name[:_MAX_NAME]}…")
+        path: (f"{index} " if often[name] > 1 else "") + shortened(name, _MAX_NAME + 1)
         for index, (path, name) in enumerate(names.items(), 1)
     }
 
@@ -177,14 +158,14 @@ def _figure(chart: Chart, labels: dict[str, str]) -> Figure:
     figure = Figure(figsize=(10.5, height), layout="constrained")
     axes = figure.add_subplot()
     plans = [curve for curve in chart.curves if curve.role == "plan"]
-    entries = [(chart.bound, "upper bound", _BOUND_COLOUR, 1.3, "--")]
+    entries = [(chart.bound, "upper bound", BOUND, 1.3, "--")]
     for curve in chart.curves:
-        colour = _plan_colour(plans.index(curve)) if curve.role == "plan" else _METHOD_COLOURS[curve.name]
+        colour = plan_colour(plans.index(curve)) if curve.role == "plan" else METHODS[curve.name]
         label = labels[curve.name] if curve.role == "plan" else curve.name
         width = (_WIDTHS if curve.low is None else _MEAN_WIDTHS)[curve.role]
         _show_curve(axes, curve, colour, width, chart.limit)
         entries.append((float(curve.reward[-1]), label, colour, width, "-"))
-    axes.axhline(chart.bound, color=_BOUND_COLOUR, lw=1.3, ls="--", zorder=2)
+    axes.axhline(chart.bound, color=BOUND, lw=1.3, ls="--", zorder=2)
     axes.set_xlim(0, chart.limit * (1 + _BUDGET_ROUNDING))
     top = 1.04 * max([chart.bound, *(float(np.max(c.high)) for c in chart.curves if c.high is not None)])
     axes.set_ylim(0, top or 1.0)
@@ -196,10 +177,6 @@ def _figure(chart: Chart, labels: dict[str, str]) -> Figure:
     axes.spines[["top", "right"]].set_visible(False)
     _show_labels(axes, entries, top or 1.0, _LABEL_INCHES / (height - _MARGIN_INCHES))
     return figure
-
-
-def _plan_colour(index: int) -> str:
-    return _PLAN_COLOURS[index] if index < len(_PLAN_COLOURS) else class_colour(index)
 
 
 def _show_curve(axes: Axes, curve: Curve, colour: str, width: float, limit: float) -> None:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import io
-import textwrap
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
@@ -11,17 +9,15 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from hrt_cli.artifacts.png import png_provenance, publish_png
-from hrt_cli.artifacts.stage import Existing, begin
+from hrt_cli.artifacts.stage import Existing
+from hrt_cli.report.figures.canvas import begin_drawing, plain, show_caption
+from hrt_cli.report.figures.palette import ACCENT, EMPTY, INK, MATRIX_RAMP, SERIES, SOFT
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure, SubFigure
 
 STAGE_VERSION = 1
-_COLOUR, _LABEL_COLOUR, _MEAN_COLOUR = "#0072b2", "#222222", "#d55e00"
-_MATRIX_RAMP = ("#ffffff", "#332288")
-_EMPTY_COLOUR = "#eeeeee"
 _CAPTION_CHARS = 150
 _WIDTH_IN, _PANELS_IN, _TIME_IN, _CAPTION_IN = 13.0, 4.3, 2.9, 0.5
 _ERROR_BINS = 40
@@ -88,19 +84,13 @@ def draw_steering(
     OutputError
         See `hrt_cli.artifacts.stage.begin`.
     """
-    job = begin(
-        "figure-steering",
-        STAGE_VERSION,
-        inputs=inputs,
-        parameters={"caption": caption, "frames": digest},
-        outputs={output: png_provenance},
-        existing=existing,
+    parameters = {"caption": caption, "frames": digest}
+    job = begin_drawing(
+        "figure-steering", STAGE_VERSION, inputs=inputs, output=output, existing=existing, parameters=parameters
     )
     if job.up_to_date:
         return True
-    buffer = io.BytesIO()
-    _figure(found, caption).savefig(buffer, format="png", dpi=110, metadata={"Software": None})
-    publish_png(output, buffer.getvalue(), job.provenance)
+    job.publish(_figure(found, caption))
     return False
 
 
@@ -110,7 +100,7 @@ def _figure(found: Measured, caption: str) -> Figure:
     names = list(found.reliability)
     height = len(names) * (_PANELS_IN + _TIME_IN) + _CAPTION_IN
     figure = Figure(figsize=(_WIDTH_IN, height), layout="constrained")
-    figure.suptitle("\n".join(textwrap.wrap(caption, _CAPTION_CHARS)), x=0.01, ha="left", fontsize=11)
+    show_caption(figure, caption, _CAPTION_CHARS)
     parts = figure.subfigures(2 * len(names), 1, height_ratios=[_PANELS_IN, _TIME_IN] * len(names), squeeze=False)
     for column, name in enumerate(names):
         above, below = parts[2 * column, 0], parts[2 * column + 1, 0]
@@ -132,10 +122,10 @@ def _reliability(axes: Axes, counts: Axes, bins: Bins) -> None:
     n = len(bins.count)
     filled = bins.count > 0
     middle, width = (np.arange(n) + 0.5) / n, 0.9 / n
-    axes.plot([0, 1], [0, 1], color="#888888", lw=1.0, ls=(0, (4, 4)), zorder=1)
-    axes.bar(middle[filled], bins.accuracy[filled], width, color=_COLOUR, label="accuracy")
+    axes.plot([0, 1], [0, 1], color=SOFT, lw=1.0, ls=(0, (4, 4)), zorder=1)
+    axes.bar(middle[filled], bins.accuracy[filled], width, color=SERIES, label="accuracy")
     axes.plot(
-        middle[filled], bins.confidence[filled], ls="none", marker="_", ms=13, mew=2.2, color=_MEAN_COLOUR,
+        middle[filled], bins.confidence[filled], ls="none", marker="_", ms=13, mew=2.2, color=ACCENT,
         label="confidence",
     )  # fmt: skip
     axes.set_xlim(0, 1)
@@ -144,27 +134,27 @@ def _reliability(axes: Axes, counts: Axes, bins: Bins) -> None:
     axes.set_title(f"is confidence earned? (ECE {bins.ece:.3f})", fontsize=10, loc="left")
     axes.legend(frameon=False, fontsize=9, loc="upper left")
     axes.tick_params(labelbottom=False)
-    _plain(axes)
+    plain(axes)
     counts.bar(middle, bins.count, width, color="#9a9a9a")
     counts.set_ylabel("frames")
     counts.set_xlabel("probability of the likeliest class")
     counts.margins(y=0.3)
     for at, count in zip(middle[filled], bins.count[filled], strict=True):
         counts.annotate(f"{count}", (at, count), (0, 1), textcoords="offset points", ha="center", fontsize=6.5)
-    _plain(counts)
+    plain(counts)
 
 
 def _confusion(axes: Axes, table: NDArray[np.int64], name: str) -> None:
     """Draw which share of the frames of each class is taken for each; rows without frames are grey."""
     from matplotlib.colors import LinearSegmentedColormap
 
-    ramp = LinearSegmentedColormap.from_list("share", list(_MATRIX_RAMP)).with_extremes(bad=_EMPTY_COLOUR)
+    ramp = LinearSegmentedColormap.from_list("share", list(MATRIX_RAMP)).with_extremes(bad=EMPTY)
     frames = table.sum(axis=1, keepdims=True)
     share = np.ma.masked_invalid(np.where(frames > 0, table / np.maximum(frames, 1), np.nan))
     half = table.shape[0] // 2
     edge = 1.0 + 0.5 / half
     shown = axes.imshow(share, cmap=ramp, vmin=0, vmax=1, origin="lower", extent=(-edge, edge, -edge, edge))
-    axes.plot([-edge, edge], [-edge, edge], color="#888888", lw=0.6, ls=(0, (4, 4)))
+    axes.plot([-edge, edge], [-edge, edge], color=SOFT, lw=0.6, ls=(0, (4, 4)))
     axes.set_xlabel(f"likeliest {name}")
     axes.set_ylabel(f"{name} of the label")
     axes.set_title("what is taken for what", fontsize=10, loc="left")
@@ -176,19 +166,19 @@ def _confusion(axes: Axes, table: NDArray[np.int64], name: str) -> None:
 def _errors(axes: Axes, error: NDArray[np.float64], name: str) -> None:
     reach = max(float(np.abs(error).max()), 0.05)
     weights = np.full(error.size, 100 / error.size)
-    axes.hist(error, bins=np.linspace(-reach, reach, _ERROR_BINS + 1).tolist(), weights=weights, color=_COLOUR)
-    axes.axvline(float(error.mean()), color=_MEAN_COLOUR, lw=1.6, label=f"mean {error.mean():+.3f}")
+    axes.hist(error, bins=np.linspace(-reach, reach, _ERROR_BINS + 1).tolist(), weights=weights, color=SERIES)
+    axes.axvline(float(error.mean()), color=ACCENT, lw=1.6, label=f"mean {error.mean():+.3f}")
     inner = float(np.quantile(np.abs(error), 0.9))
     for side in (-inner, inner):
         label = f"90 % within {inner:.3f}" if side > 0 else None
-        axes.axvline(side, color="#888888", lw=1.0, ls=(0, (4, 4)), label=label)
+        axes.axvline(side, color=SOFT, lw=1.0, ls=(0, (4, 4)), label=label)
     axes.set_xlim(-reach, reach)
     axes.set_xlabel(f"predicted {name} - label (positive: too far {'up' if name == 'pitch' else 'right'})")
     axes.set_ylabel("share of the frames, %")
     axes.set_title("errors", fontsize=10, loc="left")
     axes.margins(y=0.2)
     axes.legend(frameon=True, framealpha=0.9, edgecolor="none", fontsize=9)
-    _plain(axes)
+    plain(axes)
 
 
 def _over_time(axes: Axes, found: Measured, column: int, name: str) -> None:
@@ -204,11 +194,11 @@ def _over_time(axes: Axes, found: Measured, column: int, name: str) -> None:
         at, one = np.arange(first, end), slice(first, end)
         labels = ("one standard deviation of the prediction", "predicted", "label") if index == 0 else (None,) * 3
         low, high = np.clip(expected[one] - spread[one], -1, 1), np.clip(expected[one] + spread[one], -1, 1)
-        axes.fill_between(at, low, high, color=_COLOUR, alpha=0.2, lw=0, label=labels[0])
-        axes.plot(at, expected[one], color=_COLOUR, lw=1.1, marker=mark, label=labels[1])
-        axes.plot(at, label[one], color=_LABEL_COLOUR, lw=0.8, marker=mark, label=labels[2])
+        axes.fill_between(at, low, high, color=SERIES, alpha=0.2, lw=0, label=labels[0])
+        axes.plot(at, expected[one], color=SERIES, lw=1.1, marker=mark, label=labels[1])
+        axes.plot(at, label[one], color=INK, lw=0.8, marker=mark, label=labels[2])
         if index:
-            axes.axvline(first - 0.5, color="#888888", lw=0.8)
+            axes.axvline(first - 0.5, color=SOFT, lw=0.8)
         if len(starts) <= _MOST_NAMED:
             text = names[index] if len(names[index]) <= _NAME_CHARS else f"...{names[index][3 - _NAME_CHARS :]}"
             axes.annotate(
@@ -221,10 +211,4 @@ def _over_time(axes: Axes, found: Measured, column: int, name: str) -> None:
     axes.set_ylabel(f"{name} ({'up' if name == 'pitch' else 'right'} positive)")
     axes.set_xlabel("frame")
     axes.legend(frameon=False, fontsize=8, ncols=3, loc="upper right", bbox_to_anchor=(1.0, -0.08), borderaxespad=0.3)
-    _plain(axes)
-
-
-def _plain(axes: Axes) -> None:
-    axes.grid(color="#e0e0e0", lw=0.6)
-    axes.set_axisbelow(True)
-    axes.spines[["top", "right"]].set_visible(False)
+    plain(axes)

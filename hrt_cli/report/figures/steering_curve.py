@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -10,17 +9,16 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hrt_cli.artifacts.png import png_provenance, publish_png
 from hrt_cli.artifacts.publish import check_target
-from hrt_cli.artifacts.stage import Existing, begin
+from hrt_cli.artifacts.stage import Existing
 from hrt_cli.errors import OutputError
+from hrt_cli.report.figures.canvas import begin_drawing, plain
+from hrt_cli.report.figures.palette import CONSTANT, TRAINING, VALIDATION
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 STAGE_VERSION = 1
-_TRAINING, _VALIDATION, _CONSTANT = "#88ccee", "#332288", "#cc6677"
 _NEEDED = ("epoch", "train_loss", "train_mae", "validation_loss", "mae")
 
 
@@ -79,21 +77,14 @@ def draw_training(
         See `check_training_target` and `hrt_cli.artifacts.stage.begin`.
     """
     check_training_target(output, [model])
-    job = begin(
-        "figure-training",
-        STAGE_VERSION,
-        inputs={"model": model},
-        parameters={"caption": caption},
-        outputs={output: png_provenance},
-        existing=existing,
+    inputs, parameters = {"model": model}, {"caption": caption}
+    job = begin_drawing(
+        "figure-training", STAGE_VERSION, inputs=inputs, output=output, existing=existing, parameters=parameters
     )
     if job.up_to_date:
         return True
     columns = {name: np.array([each[name] for each in history], np.float64) for name in _NEEDED}
-    buffer = io.BytesIO()
-    figure = training_figure(columns, baseline, best_epoch, caption)
-    figure.savefig(buffer, format="png", dpi=110, metadata={"Software": None})
-    publish_png(output, buffer.getvalue(), job.provenance)
+    job.publish(training_figure(columns, baseline, best_epoch, caption))
     return False
 
 
@@ -111,19 +102,19 @@ def training_figure(
     best = int(best_epoch) - 1
     marker = "o" if epochs.size < 3 else None
     lines = (
-        (loss, "train_loss", _TRAINING, 1.8, "training, augmented"),
-        (loss, "validation_loss", _VALIDATION, 2.0, "validation"),
-        (error, "train_mae", _TRAINING, 1.8, "training, augmented"),
-        (error, "mae", _VALIDATION, 2.0, "validation"),
+        (loss, "train_loss", TRAINING, 1.8, "training, augmented"),
+        (loss, "validation_loss", VALIDATION, 2.0, "validation"),
+        (error, "train_mae", TRAINING, 1.8, "training, augmented"),
+        (error, "mae", VALIDATION, 2.0, "validation"),
     )
     for axes, name, colour, width, label in lines:
         axes.plot(epochs, columns[name], color=colour, lw=width, marker=marker, label=label)
     for axes, name in ((loss, "validation_loss"), (error, "mae")):
         axes.axvline(best_epoch, color="#444444", lw=0.8, ls=(0, (4, 4)), zorder=0)
         kept = f"epoch {best_epoch}, kept: {columns[name][best]:.3f}"
-        axes.plot(best_epoch, columns[name][best], "o", ms=7, color=_VALIDATION, mec="white", label=kept)
-        _plain(axes)
-    error.axhline(baseline, color=_CONSTANT, lw=1.5, ls=(0, (6, 3)), label=f"best constant angle: {baseline:.3f}")
+        axes.plot(best_epoch, columns[name][best], "o", ms=7, color=VALIDATION, mec="white", label=kept)
+        plain(axes)
+    error.axhline(baseline, color=CONSTANT, lw=1.5, ls=(0, (6, 3)), label=f"best constant angle: {baseline:.3f}")
     error.set_ylim(0, max(baseline, *columns["mae"], *columns["train_mae"]) * 1.1 or 1.0)
     loss.set_ylabel("loss (nats)")
     error.set_ylabel("mean absolute error of steering")
@@ -133,9 +124,3 @@ def training_figure(
     for axes in (loss, error):
         axes.legend(loc="upper right", fontsize=9, facecolor="white", edgecolor="none", framealpha=0.9)
     return figure
-
-
-def _plain(axes: Axes) -> None:
-    axes.grid(color="#e0e0e0", lw=0.6)
-    axes.set_axisbelow(True)
-    axes.spines[["top", "right"]].set_visible(False)

@@ -18,6 +18,7 @@ from hrt_cli.evaluation.segment import agreement, evaluate_segmentation
 from hrt_cli.raster.classes import open_classes
 from hrt_cli.raster.style import class_colour, rgb_of
 from hrt_cli.report.figures import agreement as drawn
+from hrt_cli.report.figures import palette
 
 Ids = NDArray[np.uint8]
 
@@ -52,11 +53,15 @@ def test_classes_take_the_colour_of_their_truth_and_the_rest_is_grey(pair: tuple
 def test_the_map_of_differences(pair: tuple[Path, Path]) -> None:
     table = evaluate_segmentation(*pair).areas
     with open_classes(pair[0]) as classes, open_classes(pair[1]) as truth:
-        picture = drawn._differences(drawn._thumbnail(classes), drawn._thumbnail(truth), table)
+        picture = drawn._differences(
+            drawn.thinned(classes.read, classes.grid.shape, drawn.PANEL_PX)[0],
+            drawn.thinned(truth.read, truth.grid.shape, drawn.PANEL_PX)[0],
+            table,
+        )
     assert picture.shape == (60, 80, 3)
     right, wrong, unmatched, void = (
         (picture == rgb_of(colour)).all(axis=2).sum()
-        for colour in (drawn._RIGHT_COLOUR, drawn._WRONG_COLOUR, drawn._UNMATCHED_COLOUR, drawn._VOID_COLOUR)
+        for colour in (palette.RIGHT, palette.WRONG, palette.UNMATCHED, palette.VOID)
     )
     assert (wrong, unmatched, void) == (100, 400, 25)
     assert right / (right + wrong + unmatched) == pytest.approx(table.accuracy)
@@ -66,7 +71,7 @@ def test_the_map_of_differences(pair: tuple[Path, Path]) -> None:
 def test_a_large_raster_is_thinned_as_it_is_read(tmp_path: Path, rows: int) -> None:
     ids = np.broadcast_to((np.arange(2101) // 300).astype(np.uint8), (rows, 2101))
     with open_classes(write(tmp_path / "wide.tif", ids)) as raster:
-        small = drawn._thumbnail(raster)
+        small, _ = drawn.thinned(raster.read, raster.grid.shape, drawn.PANEL_PX)
     assert small.shape == (-(-rows // 4), 526)
     assert np.array_equal(small[0], ids[0, ::4])
 
@@ -103,7 +108,7 @@ def test_the_picture_shows_both_maps_and_the_errors(pair: tuple[Path, Path], tmp
     assert share("truth", class_colour(0)) == pytest.approx(share("truth", class_colour(1)), rel=0.05)
     assert share("truth", class_colour(0)) > 0.3
     assert share("classes", class_colour(0)) < 0.97 * share("truth", class_colour(0))
-    assert share("differences", drawn._UNMATCHED_COLOUR) > 3 * share("differences", drawn._WRONG_COLOUR) > 0
+    assert share("differences", palette.UNMATCHED) > 3 * share("differences", palette.WRONG) > 0
     assert share("differences", class_colour(0)) == 0
 
 

@@ -116,13 +116,13 @@ def test_what_is_no_curve_is_refused(policy: Path) -> None:
 @pytest.mark.parametrize("suffix", [".png", ".json"])
 def test_the_command_writes_the_curve(tmp_path: Path, suffix: str) -> None:
     policy, curve = tmp_path / "p.npz", tmp_path / f"c{suffix}"
-    options = ("--map-side", 12, "--family", "noise", "--family", "speckle", "-o", policy, "--curve", curve)
+    options = ("--map-side", 12, "--family", "noise", "--family", "speckle", "-o", policy, "--figure", curve)
     first = json.loads(train(*options).stdout)
     assert (first["resumed_at"], first["up_to_date"], len(first["learning_curve"])) == (0, False, 4)
     before = curve.read_bytes()
     # A curve that is asked for later is drawn from what is there.
     curve.unlink()
-    again = json.loads(train(*options).stdout)
+    again = json.loads(train(*options[:-2], "--curve", curve).stdout)
     assert again["up_to_date"]
     assert again["learning_curve"] == first["learning_curve"]
     assert curve.read_bytes() == before

@@ -18,7 +18,9 @@ from hrt_cli.planning.request import PlanRequest, parse_budget, parse_start
 from hrt_cli.planning.stage import plan_file
 from hrt_cli.raster.grid import Grid
 from hrt_cli.raster.scoremap import Scoremap, publish_scoremap
-from hrt_cli.report.figures.maps import _extent, _place, _round_length, draw_plan, draw_scoremap
+from hrt_cli.report.figures.canvas import round_length
+from hrt_cli.report.figures.layers import extent_on, place_on
+from hrt_cli.report.figures.maps import draw_plan, draw_scoremap
 
 FIXTURE = Path(__file__).parents[3] / "fixtures" / "meadow" / "ortho.tif"
 GRIDS = {
@@ -35,22 +37,22 @@ def test_cells_are_placed_in_ground_metres_of_the_backdrop(name: str) -> None:
     base = GRIDS[name]
     row_m, col_m = base.pixel_m
     # The middle of a pixel of the backdrop lies at its own distance from the first corner.
-    ((down, across),) = _place(base, base, [10.5], [20.5])
-    assert (down, across) == pytest.approx((10.5 * row_m, 20.5 * col_m), rel=1e-6)
+    right, down = place_on(base, base, [10.5], [20.5])
+    assert (down[0], right[0]) == pytest.approx((10.5 * row_m, 20.5 * col_m), rel=1e-6)
     if base.crs is not None:
-        ((down, across),) = _place(base.coarse(2.0), base, [3.5], [4.5])
-        assert (down, across) == pytest.approx((7.0, 9.0), rel=1e-5)
+        right, down = place_on(base.coarse(2.0), base, [3.5], [4.5])
+        assert (down[0], right[0]) == pytest.approx((7.0, 9.0), rel=1e-5)
 
 
 def test_extent_is_left_right_bottom_top() -> None:
-    left, right, bottom, top = _extent(GRIDS["utm"], None)
+    left, right, bottom, top = extent_on(GRIDS["utm"], GRIDS["utm"])
     assert (left, top) == (0.0, 0.0)
     assert (right, bottom) == pytest.approx((40.0, 30.0), rel=2e-3)
 
 
 @pytest.mark.parametrize(("length", "shown"), [(9.9, 5), (10, 10), (21, 20), (49.9, 20), (0.7, 0.5)])
 def test_scale_bars_are_round(length: float, shown: float) -> None:
-    assert _round_length(length) == pytest.approx(shown)
+    assert round_length(length) == pytest.approx(shown)
 
 
 @pytest.fixture

@@ -12,6 +12,7 @@ from hrt_cli.artifacts.png import png_provenance
 from hrt_cli.artifacts.stage import REFUSE, Existing
 from hrt_cli.errors import InputError, OutputError
 from hrt_cli.evaluation.rewards import Curve, RewardChart
+from hrt_cli.report.figures import palette
 from hrt_cli.report.figures import rewards as drawn
 
 
@@ -70,7 +71,7 @@ def test_every_line_is_drawn_in_its_colour(files: tuple[Path, Path], tmp_path: P
     scoremap, plan = files
     output = tmp_path / "f.png"
     drawn.begin_figure(scoremap, (plan,), output, {}, existing=REFUSE).draw(chart(plan))
-    wanted = {drawn._PLAN_COLOURS[0], drawn._METHOD_COLOURS["greedy"], drawn._METHOD_COLOURS["refined"]}
+    wanted = {palette.plan_colour(0), palette.METHODS["greedy"], palette.METHODS["refined"]}
     assert {rgb(colour) for colour in wanted} <= colours(output)
 
 

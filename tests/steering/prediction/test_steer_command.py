@@ -12,6 +12,7 @@ import torch
 from click.testing import CliRunner, Result
 from predict_files import put_net, put_pictures, put_recording, small_net
 
+from hrt_cli.artifacts.png import png_provenance
 from hrt_cli.artifacts.provenance import record
 from hrt_cli.errors import HrtError
 from hrt_cli.main import cli
@@ -51,6 +52,16 @@ def test_the_result_and_its_keys(model: Path, tmp_path: Path) -> None:
     assert again.exit_code == 0
     assert "2 frames, on average yaw" in again.stdout
     assert "up to date" in again.stdout
+
+
+def test_the_figure_tells_of_the_predictions(model: Path, tmp_path: Path) -> None:
+    put_pictures(tmp_path / "p", 2)
+    run = ["steer", model, tmp_path / "p", "-o", tmp_path / "s.json", "--passes", 2, "--figure", tmp_path / "f.png"]
+    for _ in range(2):
+        assert hrt(*run).exit_code == 0
+    found = png_provenance(tmp_path / "f.png")
+    assert found is not None
+    assert [each.name for each in found.inputs] == ["s.json"]
 
 
 @pytest.mark.usefixtures("tiny")

@@ -80,7 +80,7 @@ def test_it_draws_and_writes_the_course_of_the_training(data: Path, tmp_path: Pa
     assert [each.name for each in found.inputs] == ["m.safetensors"]
     before = curve.read_bytes()
     curve.unlink()
-    train(data, "-o", output, "--curve", curve)
+    train(data, "-o", output, "--figure", curve)
     assert curve.read_bytes() == before
     for wrong in (tmp_path / "c.svg", output):
         with pytest.raises(OutputError):
