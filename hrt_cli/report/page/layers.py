@@ -22,14 +22,14 @@ from hrt_cli.raster.scoremap import read_scoremap
 from hrt_cli.raster.style import NO_GO_COLOUR, SCORE_RAMP, class_colour
 from hrt_cli.raster.thermal import in_celsius, settle
 from hrt_cli.raster.windows import Window
+from hrt_cli.report.figures.palette import VALUE_RAMP
 from hrt_cli.report.page.frame import Frame
 from hrt_cli.report.page.pictures import levels, packed, webp
 
 _WEBP_QUALITY = 78
 _BENT_PX = 0.25
 """Layers whose place an affine transform misses by more pixels than this are resampled."""
-_HEAT_RAMP = ((0.0, "#000004"), (0.25, "#57106e"), (0.5, "#bc3754"), (0.75, "#f98e09"), (1.0, "#fcffa4"))
-"""Five stops of matplotlib's "inferno"."""
+_VALUES = tuple((k / (len(VALUE_RAMP) - 1), colour) for k, colour in enumerate(VALUE_RAMP))
 _SD_RAMP = ((0.0, "#f7fbff"), (0.5, "#6baed6"), (1.0, "#08306b"))
 _SUN_AZIMUTH_RAD, _SUN_HEIGHT_RAD = np.radians(315.0), np.radians(45.0)
 
@@ -125,7 +125,7 @@ def heat_layer(path: Path, frame: Frame, most: int, **about: Any) -> dict[str, A
         values = pixels.values if units is None else in_celsius(pixels.values, raster, units).astype(np.float32)
     placed = _placed(path, Pixels(values, pixels.grid), frame, np.nan)
     unit = "°C" if units is not None else "in the file's unit"
-    return about | value_data(placed, frame, _span(placed.values), _HEAT_RAMP, f"temperature, {unit}")
+    return about | value_data(placed, frame, _span(placed.values), _VALUES, f"temperature, {unit}")
 
 
 def measured_layer(path: Path, frame: Frame, most: int, label: str, **about: Any) -> dict[str, Any]:
@@ -133,7 +133,7 @@ def measured_layer(path: Path, frame: Frame, most: int, label: str, **about: Any
     with open_raster(path, unreferenced=not says_where(path)) as raster:
         pixels = _averaged(raster, most)
     placed = _placed(path, pixels, frame, np.nan)
-    return about | value_data(placed, frame, _span(placed.values), SCORE_RAMP, label)
+    return about | value_data(placed, frame, _span(placed.values), _VALUES, label)
 
 
 def relief_layer(path: Path, frame: Frame, most: int, **about: Any) -> dict[str, Any]:

@@ -26,7 +26,6 @@ from hrt_cli.report.page.walks import grid_of, plan_lines
 
 Floats = NDArray[np.float64]
 
-TEAM_COLOURS = ("#ffffff", "#56b4e9", "#e69f00", "#cc79a7", "#f0e442", "#009e73", "#0072b2", "#d55e00")
 MOST_OF_A_KIND = 24
 """Layers of one kind; of more the last are shown."""
 _PLACED: tuple[Kind, ...] = (
@@ -242,7 +241,7 @@ def _area(site: SiteMap, item: Item, detail: int, *, last: bool) -> None:
 
 
 def _plan(site: SiteMap, item: Item, detail: int, *, last: bool) -> None:
-    for line in plan_lines(item.path, item.name, site.frame, TEAM_COLOURS):
+    for line in plan_lines(item.path, item.name, site.frame):
         if all(line["name"] != other["name"] for other in site.plans):
             site.plans.append(line | {"file": item.name})
 

@@ -13,6 +13,7 @@ from hrt_cli.artifacts.plan import PlanDocument, read_plan, team_members
 from hrt_cli.evaluation.plans import Trials, evaluate_plans
 from hrt_cli.evaluation.rewards import RewardChart
 from hrt_cli.raster.grid import Grid
+from hrt_cli.report.figures.palette import METHODS, SOFT, robot_line
 from hrt_cli.report.page.frame import Frame
 
 _BASELINES = Trials(planner=False)
@@ -24,7 +25,7 @@ def grid_of(plan: PlanDocument) -> Grid:
     return Grid(plan.grid.rows, plan.grid.cols, Affine(*plan.grid.transform), crs)
 
 
-def plan_lines(path: Path, name: str, frame: Frame, colours: tuple[str, ...]) -> list[dict[str, Any]]:
+def plan_lines(path: Path, name: str, frame: Frame) -> list[dict[str, Any]]:
     """Return the plan of a robot, or those of each robot of a team, as lines with their waypoints.
 
     Raises
@@ -39,7 +40,7 @@ def plan_lines(path: Path, name: str, frame: Frame, colours: tuple[str, ...]) ->
     for robot, member in enumerate(members or [path]):
         plan = read_plan(member)
         label = f"{name}, robot {robot + 1}" if members else name
-        lines.append(_line(plan, label, frame) | {"colour": colours[robot % len(colours)] if members else ""})
+        lines.append(_line(plan, label, frame) | {"colour": robot_line(robot)[0] if members else ""})
     return lines
 
 
@@ -95,6 +96,7 @@ def _chart(chart: RewardChart, name: str) -> dict[str, Any]:
         {
             "name": name if curve.role == "plan" else curve.name,
             "role": curve.role,
+            "colour": "" if curve.role == "plan" else METHODS.get(curve.name, SOFT),
             "points": _thinned(curve.travelled, curve.reward),
         }
         for curve in chart.curves

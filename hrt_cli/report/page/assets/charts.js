@@ -1,14 +1,5 @@
 // Charts: a figure with a title, a drawing that tells its numbers on hover, a legend, and the numbers as a table.
 
-const METHODS = {
-  refined: "#0072b2",
-  policy: "#d55e00",
-  rectangle: "#009e73",
-  greedy: "#56b4e9",
-  spiral: "#cc79a7",
-  lawnmower: "#e69f00",
-  random: "#8c8c8c",
-};
 const CHART = { width: 600, height: 330, left: 58, right: 16, top: 12, bottom: 44 };
 
 function html(name, properties = {}, ...children) {
@@ -75,7 +66,7 @@ function colourOf(series, index) {
   if (series.colour) return series.colour;
   if (series.role === "plan") return "var(--strong)";
   if (series.role === "faint") return "var(--faint)";
-  return METHODS[series.name] || ["#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9"][index % 6];
+  return ["#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9"][index % 6];
 }
 
 function drawLines(figure, spec) {

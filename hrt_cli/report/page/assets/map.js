@@ -35,8 +35,6 @@ class SiteMap {
     svg("path", { d: "M0-9 6 7 0 3.5-6 7Z" }, this.robot);
     this.robot.style.display = "none";
     await Promise.all(site.layers.map(prepareLayer));
-    this.resize();
-    this.fit();
   }
 
   addPlan(plan) {

@@ -116,6 +116,8 @@ async function main() {
     fillWaypoints(document.querySelector("#waypoints"), site, map);
     whole.querySelector(".about").textContent = site.note;
     player.show(site.drives);
+    map.resize(); // the player may have taken some of its room
+    map.fit();
     map.draw();
     root.dataset.ready = "yes";
   };
