@@ -10,6 +10,24 @@ from hrt_cli import options as opt
 from hrt_cli.artifacts.stage import Existing
 from hrt_cli.progress import Console
 
+FIGURES = (
+    "ari",
+    "nmi",
+    "accuracy",
+    "mean_iou",
+    "vote_recall",
+    "boundary_f",
+    "boundary_precision",
+    "boundary_recall",
+    "boundary_tolerance_m",
+    "per_class",
+    "matching",
+    "confusion",
+    "class_ids",
+    "truth_ids",
+)
+"""Keys of the result."""
+
 
 @click.command(
     epilog="""\b
@@ -28,6 +46,7 @@ Example:
     "with --unreferenced in pixels, 0.75 % of the diagonal.",
 )
 @opt.unreferenced_opt
+@opt.require_opt
 @opt.figure_opt
 @opt.existing_options
 @opt.console_options
@@ -36,6 +55,7 @@ def segment(
     truth: Path,
     tolerance_m: float | None,
     unreferenced: bool,
+    demands: tuple[tuple[str, str, float], ...],
     figure: Path | None,
     existing: Existing,
     console: Console,
@@ -48,8 +68,10 @@ def segment(
     """
     from dataclasses import asdict
 
+    from hrt_cli.evaluation.demands import check_names, require
     from hrt_cli.evaluation.segment import evaluate_segmentation
 
+    check_names(demands, FIGURES)
     with console.bar("evaluate") as progress:
         found = evaluate_segmentation(
             classes, truth, tolerance_m=tolerance_m, unreferenced=unreferenced, progress=progress
@@ -64,23 +86,21 @@ def segment(
         from hrt_cli.report.figures.agreement import draw_agreement
 
         draw_agreement(classes, truth, figure, areas, line, unreferenced=unreferenced, existing=existing)
-    console.result(
-        f"{classes}: {line}",
-        {
-            "ari": areas.ari,
-            "nmi": areas.nmi,
-            "accuracy": areas.accuracy,
-            "mean_iou": areas.mean_iou,
-            "vote_recall": areas.vote_recall,
-            "boundary_f": boundary.f,
-            "boundary_precision": boundary.precision,
-            "boundary_recall": boundary.recall,
-            "boundary_tolerance_m": found.tolerance_m,
-            "per_class": [asdict(each) for each in areas.per_class],
-            "matching": {str(k): v for k, v in areas.matching.items()},
-            "confusion": areas.confusion.tolist(),
-            "class_ids": areas.class_ids,
-            "truth_ids": areas.truth_ids,
-        },
-        only_here=True,
-    )
+    data = {
+        "ari": areas.ari,
+        "nmi": areas.nmi,
+        "accuracy": areas.accuracy,
+        "mean_iou": areas.mean_iou,
+        "vote_recall": areas.vote_recall,
+        "boundary_f": boundary.f,
+        "boundary_precision": boundary.precision,
+        "boundary_recall": boundary.recall,
+        "boundary_tolerance_m": found.tolerance_m,
+        "per_class": [asdict(each) for each in areas.per_class],
+        "matching": {str(k): v for k, v in areas.matching.items()},
+        "confusion": areas.confusion.tolist(),
+        "class_ids": areas.class_ids,
+        "truth_ids": areas.truth_ids,
+    }
+    console.result(f"{classes}: {line}", data, only_here=True)
+    require(data, demands)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
+from dataclasses import asdict, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,6 +15,9 @@ from hrt_cli.progress import Console
 
 if TYPE_CHECKING:
     from hrt_cli.evaluation.steering import SteerMeasure
+
+FIGURES = ("skipped", "constant", "sessions", "reliability", "confusion")
+"""Keys of the result beside those of `Measure`."""
 
 
 @click.command(
@@ -34,6 +37,7 @@ Example:
     is_flag=True,
     help="Exit with 3 unless the error is smaller than that of always steering the median of the labels.",
 )
+@opt.require_opt
 @opt.skip_bad_opt
 @opt.correction_opt
 @opt.figure_opt
@@ -44,6 +48,7 @@ def steer(
     data: tuple[Path, ...],
     require_mae: float | None,
     require_better_than_constant: bool,
+    demands: tuple[tuple[str, str, float], ...],
     skip_bad: bool,
     correction: float,
     figure: Path | None,
@@ -57,8 +62,11 @@ def steer(
     angle, the median of these labels: a model that is no better has learnt nothing. Data that were trained on say
     little about others.
     """
+    from hrt_cli.evaluation.demands import check_names, require
     from hrt_cli.evaluation.steering import evaluate_steer
+    from hrt_cli.steering.network.metrics import Measure
 
+    check_names(demands, (*(each.name for each in fields(Measure)), *FIGURES))
     with console.bar("evaluate") as progress:
         found = evaluate_steer(
             model, data, skip_bad=skip_bad, correction=correction, progress=progress, note=console.note
@@ -68,7 +76,9 @@ def steer(
 
         inputs = {"model": model} | {f"labels/{index}": path for index, path in enumerate(found.files)}
         draw_steering(inputs, figure, found, digest=found.digest, caption=_line(found), existing=existing)
-    console.result(f"{model}: {_line(found)}", _document(found), only_here=True)
+    document = _document(found)
+    console.result(f"{model}: {_line(found)}", document, only_here=True)
+    require(document, demands)
     mae, constant = found.total.mae, found.total.constant_baseline_mae
     if require_mae is not None and mae > require_mae:
         raise DifferenceError(f"{model}: the mean absolute error is {mae:.4g}, more than {require_mae:g}")
