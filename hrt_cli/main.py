@@ -65,6 +65,7 @@ COMMANDS = {
         "Write a steering MODEL as ONNX, which robots run without PyTorch.",
     ),
     "evaluate": ("hrt_commands.evaluate:evaluate", "Measure a segmentation, plans, drives or a steering model."),
+    "compare": ("hrt_commands.compare:compare", "Tell how two artifacts of one kind, A and B, differ."),
     "verify": ("hrt_commands.verify:verify", "Check artifacts against the provenance they carry."),
 }
 """Subcommand -> (module:attribute, the first paragraph of its help, so that `hrt --help` imports none of them)."""
