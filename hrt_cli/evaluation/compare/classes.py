@@ -97,7 +97,7 @@ def _compare_areas(table: NDArray[np.int64], names: dict[int, str]) -> Found:
     share = common[ids] / (of_a + of_b - common)[ids]
     both = table[:NODATA, :NODATA]
     areas = agreement(both) if both.any() else None
-    renumbered = areas is not None and changed > 0 and _one_to_one(areas.confusion) and both.sum() == pixels
+    renumbered = areas is not None and changed > 0 and _one_to_one(areas.confusion) and int(both.sum()) == pixels
     # Sums of large squares, added up in another order, need not agree to the last bit.
     ari = 1.0 if areas is None and not pixels else 0.0 if areas is None else areas.ari
     if areas is not None and _one_to_one(areas.confusion):

@@ -42,6 +42,7 @@ TITLES: dict[Kind, str] = {
 
 _HEAD = 4096
 _ARCHIVES = (b"PK\x03\x04", b"PK\x05\x06")
+_TIFF = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
 _MISSION = "compare the plans that missions are made from"
 _WHAT = "class rasters, scoremaps, score tables, plans, models, drive logs and JSON are compared"
 
@@ -76,8 +77,13 @@ def kind_of(path: Path) -> Kind:
         raise InputError(path, "is an exported model", "compare the .safetensors that it was exported from")
     if is_log(path):
         return "drive log"
-    with open_raster(path, unreferenced=True) as raster:
-        return _of_raster(raster)
+    try:
+        with open_raster(path, unreferenced=True) as raster:
+            return _of_raster(raster)
+    except InputError as error:
+        if head.startswith(_TIFF):
+            raise
+        raise InputError(path, "is nothing that can be compared", _WHAT) from error
 
 
 def _head(path: Path) -> bytes:

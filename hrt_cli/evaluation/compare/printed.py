@@ -37,10 +37,9 @@ def compare_printed(path_a: Path, path_b: Path) -> Found:
     return Found(figures, words)
 
 
-def tolerates(name: str, figure: str) -> bool:
+def tolerates(name: str, figure: Figure) -> bool:
     """Whether the name of a tolerance means a figure: its path or the end of it, `*` standing for any one part."""
-    parts = tuple(figure.split("."))
-    return any(meets(name, parts[first:]) for first in range(len(parts)))
+    return any(meets(name, figure.parts[first:]) for first in range(len(figure.parts)))
 
 
 def _leaves(path: Path) -> dict[Parts, Any]:
@@ -53,5 +52,5 @@ def _leaves(path: Path) -> dict[Parts, Any]:
 def _figure(name: str, parts: Parts, a: Any, b: Any) -> Figure:
     counts = not (parts[-1] in _CLOCK or parts[-1].endswith(_RATE))
     if is_number(a) and is_number(b):
-        return number(name, a, b, counts=counts)
-    return Figure(name, 0.0 if type(a) is type(b) and a == b else None, a, b, counts=counts)
+        return number(name, a, b, counts=counts, parts=parts)
+    return Figure(name, 0.0 if type(a) is type(b) and a == b else None, a, b, counts=counts, parts=parts)

@@ -33,6 +33,8 @@ class Figure:
         Whether a difference in the family cannot escape it altogether.
     counts : bool
         Whether a difference makes the artifacts differ; otherwise the figure only tells.
+    parts : tuple of str
+        Of the path that the name is, where it is one.
     """
 
     name: str
@@ -44,6 +46,7 @@ class Figure:
     family: str = ""
     speaks: bool = True
     counts: bool = True
+    parts: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -76,14 +79,14 @@ class Verdict:
 def judge(
     figures: Sequence[Figure],
     tolerances: Mapping[str, float],
-    meets: Callable[[str, str], bool] = lambda name, figure: name == figure,
+    meets: Callable[[str, Figure], bool] = lambda name, figure: name == figure.name,
 ) -> list[Verdict]:
     """Judge figures, each by its tolerance, which is 0 where none is given.
 
     Parameters
     ----------
     meets : callable
-        Whether the name of a tolerance means a figure, by its name.
+        Whether the name of a tolerance means a figure.
 
     Raises
     ------
@@ -92,7 +95,7 @@ def judge(
     """
     given: dict[str, float] = {}
     for name, value in tolerances.items():
-        met = [figure for figure in figures if meets(name, figure.name)]
+        met = [figure for figure in figures if meets(name, figure)]
         if not met:
             raise unknown(name, [figure.name for figure in figures])
         for figure in met:
