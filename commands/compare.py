@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from hrt_cli.evaluation.compare.result import Value, Verdict
     from hrt_cli.evaluation.compare.stage import Comparison
 
+_STATES = {"told": "not counted"}
 _MOST_ROWS = 40
 _MOST_LINES = 20
 
@@ -93,15 +94,17 @@ def _document(found: Comparison) -> dict[str, Any]:
 
 def _lines(a: Path, b: Path, found: Comparison) -> list[str]:
     made = {True: "made from the same inputs", False: "made from other inputs", None: ""}[found.origin["same_inputs"]]
-    verdict = "the same" if found.same else "DIFFERENT"
+    equal = all(each.figure.difference == 0 for each in found.verdicts)
+    verdict = "DIFFERENT" if not found.same else "the same" if equal else "the same within the tolerances"
     lines = [f"{found.kind}: {a} (A) and {b} (B) are {verdict}" + (f"; {made}" if made else "")]
     shown = found.verdicts
     if len(shown) > _MOST_ROWS:
-        shown = [each for each in shown if each.figure.difference != 0] or shown[:0]
+        shown = [each for each in shown if each.figure.difference != 0]
         lines.append(f"{len(found.verdicts) - len(shown)} of {len(found.verdicts)} figures are equal")
     rows = [["figure", "A", "B", "difference", "tolerance", ""], *map(_row, shown[:_MOST_ROWS])]
     widths = [max(len(row[k]) for row in rows) for k in range(6)]
-    lines += ["  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in rows]
+    table = ["  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in rows]
+    lines += table if shown else []
     lines += [f"and {len(shown) - _MOST_ROWS} more"] if len(shown) > _MOST_ROWS else []
     lines += found.lines[:_MOST_LINES]
     return lines + ([f"and {len(found.lines) - _MOST_LINES} more"] if len(found.lines) > _MOST_LINES else [])
@@ -112,7 +115,7 @@ def _row(verdict: Verdict) -> list[str]:
     difference = "yes" if each.difference is None else f"{each.difference:.6g} {each.unit}".rstrip()
     limit = "" if verdict.tolerance is None else f"{verdict.tolerance:g}"
     b = each.b if each.similarity is None else each.similarity
-    return [each.name, _cell(each.a), _cell(b), difference, limit, verdict.state]
+    return [each.name, _cell(each.a), _cell(b), difference, limit, _STATES.get(verdict.state, verdict.state)]
 
 
 def _cell(value: Value) -> str:

@@ -34,7 +34,7 @@ FIGURES = (
 Example:
   hrt synth site --scene meadow --size 40
   hrt segment site/ortho.tif -o site/classes.tif --classes 6
-  hrt evaluate segment site/classes.tif site/truth.tif --figure site/agreement.png
+  hrt evaluate segment site/classes.tif site/truth.tif --figure site/agreement.png --require 'ari>=0.8'
 """
 )
 @click.argument("classes", type=opt.PATH)

@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hrt_cli.evaluation.compare.grids import NAMES as GRID_NAMES
 from hrt_cli.evaluation.compare.grids import common_windows, compare_grids
 from hrt_cli.evaluation.compare.result import Figure, Found, alike, apart, text
 from hrt_cli.evaluation.segment import agreement
@@ -18,8 +17,6 @@ from hrt_cli.raster.classes import NODATA, ClassRaster, open_classes
 from hrt_cli.raster.gate import open_raster
 from hrt_cli.raster.windows import Window, blocks
 
-NAMES = ("changed", "iou", "ari", "names", *GRID_NAMES)
-"""Figures that take a tolerance."""
 BLOCK_PX = 2048
 
 

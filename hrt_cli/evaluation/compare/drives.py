@@ -33,8 +33,6 @@ _COLUMNS = {
     "roll_deg": "deg",
     "depth_m": "m",
 }
-NAMES = ("apart_m", *_MEASURES, "records", "events", "times_s", *_COLUMNS)
-"""Figures that take a tolerance."""
 
 
 def compare_drives(path_a: Path, path_b: Path) -> Found:

@@ -14,8 +14,6 @@ from hrt_cli.evaluation.compare.result import Figure, apart, number, text
 from hrt_cli.raster.grid import Grid, lattice_offset, lonlat_length_m, require_same_grid
 from hrt_cli.raster.windows import Window
 
-NAMES = ("shift_m", "pixel_m")
-"""Figures of a grid that take a tolerance."""
 _SAME_SIZE = 1e-6
 _NAME = re.compile(r'^\w+\["([^"]*)"')
 

@@ -4,16 +4,15 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Any, Literal
-
-import numpy as np
+from typing import TYPE_CHECKING, Any, Literal
 
 from hrt_cli.artifacts.jsonio import parse_strict, read_text
 from hrt_cli.artifacts.npz import read_npz
 from hrt_cli.errors import InputError
 from hrt_cli.logs.kinds import is_log
-from hrt_cli.raster.gate import Raster, open_raster
-from hrt_cli.raster.recognise import quantity
+
+if TYPE_CHECKING:
+    from hrt_cli.raster.gate import Raster
 
 Kind = Literal[
     "classes",
@@ -77,6 +76,8 @@ def kind_of(path: Path) -> Kind:
         raise InputError(path, "is an exported model", "compare the .safetensors that it was exported from")
     if is_log(path):
         return "drive log"
+    from hrt_cli.raster.gate import open_raster  # rasterio is for rasters only: it takes long to import
+
     try:
         with open_raster(path, unreferenced=True) as raster:
             return _of_raster(raster)
@@ -97,7 +98,9 @@ def _head(path: Path) -> bytes:
 
 
 def _of_raster(raster: Raster) -> Kind:
-    real = np.dtype(raster.dtypes[0]).kind == "f"
+    from hrt_cli.raster.recognise import quantity
+
+    real = raster.dtypes[0].startswith("float")
     if not real and raster.count == 1:
         return "classes"
     if real and raster.count <= 2:

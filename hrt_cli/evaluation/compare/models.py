@@ -18,8 +18,6 @@ from hrt_cli.evaluation.compare.result import Found, apart
 from hrt_cli.planning.policy import Policy
 from hrt_cli.texture.model import TextureModel
 
-NAMES = ("max", "relative", "tensors", "settings")
-"""Figures that take a tolerance."""
 _TEXTURE = ("mean", "transform", "centroids", "mean_rgb", "roughness", "radius")
 _SETTINGS = ("pixel_m", "version")
 
@@ -76,8 +74,20 @@ def compare_models(a: Weights, b: Weights) -> Found:
     return Found(figures, lines, detail)
 
 
-def read_policy(path: Path) -> Weights:
-    """Read a policy; raises `InputError`. Its learning curve counts as a setting: no plan depends on it."""
+def read_weights(kind: str, path: Path) -> Weights:
+    """Read a model of a kind ("policy", "texture model", "steering model").
+
+    Raises
+    ------
+    InputError
+    """
+    return {"policy": _read_policy, "texture model": _read_texture_model, "steering model": _read_steering_model}[kind](
+        path
+    )
+
+
+def _read_policy(path: Path) -> Weights:
+    # The learning curve counts as a setting: no plan depends on it.
     arrays = _arrays(path)
     try:
         policy = Policy.from_arrays(arrays)
@@ -89,8 +99,7 @@ def read_policy(path: Path) -> Weights:
     return Weights({"weights": policy.weights}, settings)
 
 
-def read_texture_model(path: Path) -> Weights:
-    """Read a texture model; raises `InputError`."""
+def _read_texture_model(path: Path) -> Weights:
     try:
         model = TextureModel.from_arrays(_arrays(path))
     except ValueError as error:
@@ -99,8 +108,7 @@ def read_texture_model(path: Path) -> Weights:
     return Weights({name: getattr(model, name) for name in _TEXTURE}, json.loads(json.dumps(settings)))
 
 
-def read_steering_model(path: Path) -> Weights:
-    """Read a steering model; raises `InputError`."""
+def _read_steering_model(path: Path) -> Weights:
     from hrt_cli.steering.network.model import read_model  # PyTorch takes a second to import
 
     net = read_model(path)

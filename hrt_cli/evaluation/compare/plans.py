@@ -16,7 +16,6 @@ from rasterio.crs import CRS
 from hrt_cli.artifacts.jsonio import read_model
 from hrt_cli.artifacts.plan import Cell, PlanDocument, TeamPlanDocument, team_members
 from hrt_cli.errors import InputError
-from hrt_cli.evaluation.compare.grids import NAMES as GRID_NAMES
 from hrt_cli.evaluation.compare.grids import compare_grids, is_same_grid
 from hrt_cli.evaluation.compare.result import Figure, Found, alike, apart, number
 from hrt_cli.evaluation.compare.tracks import Floats, frechet, ground_metres, metres_of
@@ -24,9 +23,6 @@ from hrt_cli.raster.grid import Grid, lattice_offset
 
 _WORTH = ("score", "discounted_score", "upper_bound", "gap", "discounted_upper_bound", "discounted_gap")
 _LENGTHS = {"length_m": "m", "time_s": "s"}
-_WALK = ("apart_m", "overlap", "order", "start_m", "end_m", "coordinates_m", "waypoints", "robots", "settings")
-NAMES = (*_WORTH, *_LENGTHS, "steps", *_WALK, *GRID_NAMES)
-"""Figures that take a tolerance."""
 _NOISE = 1e-9
 """Relative difference of lengths that grids which are the same may have."""
 _ON_ITS_CELL = 0.01

@@ -9,13 +9,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hrt_cli.evaluation.compare.grids import NAMES as GRID_NAMES
 from hrt_cli.evaluation.compare.grids import common_windows, compare_grids
 from hrt_cli.evaluation.compare.result import Figure, Found, apart
 from hrt_cli.raster.scoremap import read_scoremap
 
-NAMES = ("rmse", "max", "no_go", "go", "sd_rmse", "sd_max", "sd_unknown", *GRID_NAMES)
-"""Figures that take a tolerance."""
 _STRIP_CELLS = 2**20
 
 

@@ -9,9 +9,6 @@ from typing import Any
 from hrt_cli.artifacts.scores import ClassScore, read_score_table
 from hrt_cli.evaluation.compare.result import Found, apart
 
-NAMES = ("rmse", "max", "sd_max", "evidence_m", "classes", "names")
-"""Figures that take a tolerance."""
-
 
 def compare_scores(path_a: Path, path_b: Path) -> Found:
     """Compare two score tables.

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -12,31 +12,13 @@ from hrt_cli.artifacts.drivelog import drive_provenance
 from hrt_cli.artifacts.provenance import Provenance
 from hrt_cli.artifacts.stage import ReadProvenance
 from hrt_cli.errors import DifferenceError, InputError
-from hrt_cli.evaluation.compare import classes, drives, models, plans, printed, scoremaps, scores
+from hrt_cli.evaluation.compare import printed
 from hrt_cli.evaluation.compare.kinds import TITLES, Kind, kind_of
+from hrt_cli.evaluation.compare.names import NAMES
 from hrt_cli.evaluation.compare.origin import compare_origins, read_origin
 from hrt_cli.evaluation.compare.result import Found, Verdict, judge, unknown
 from hrt_cli.progress import Note, Progress, silent, unheard
-from hrt_cli.raster.cog import tagged_provenance
-from hrt_cli.raster.gate import open_raster
 
-_NAMES: dict[Kind, tuple[str, ...]] = {
-    "classes": classes.NAMES,
-    "scoremap": scoremaps.NAMES,
-    "scores": scores.NAMES,
-    "plan": plans.NAMES,
-    "team plan": plans.NAMES,
-    "texture model": models.NAMES,
-    "policy": models.NAMES,
-    "steering model": models.NAMES,
-    "drive log": drives.NAMES,
-}
-"""Figures that take a tolerance, by kind; those of JSON are its paths."""
-_MODELS: dict[Kind, Callable[[Path], models.Weights]] = {
-    "texture model": models.read_texture_model,
-    "policy": models.read_policy,
-    "steering model": models.read_steering_model,
-}
 _MOST_TOLD = 3
 
 
@@ -104,8 +86,8 @@ def compare_files(
     if kind != other:
         raise InputError(path_b, f"is {TITLES[other]}, and {path_a} {TITLES[kind]}: they cannot be compared")
     for name in tolerances:
-        if kind in _NAMES and name not in _NAMES[kind]:
-            raise unknown(name, _NAMES[kind])
+        if kind in NAMES and name not in NAMES[kind]:
+            raise unknown(name, NAMES[kind])
     found = _compare(kind, path_a, path_b, progress)
     if kind == "figures":
         verdicts = judge(found.figures, tolerances, printed.tolerates)
@@ -125,20 +107,33 @@ def require_same(path_a: Path, path_b: Path, comparison: Comparison) -> None:
         raise DifferenceError(f"{path_b}: differs from {path_a} in {told}{more}")
 
 
-def _compare(kind: Kind, path_a: Path, path_b: Path, progress: Progress) -> Found:
-    if kind in _MODELS:
-        return models.compare_models(_MODELS[kind](path_a), _MODELS[kind](path_b))
+def _compare(kind: Kind, a: Path, b: Path, progress: Progress) -> Found:
+    # Each only when it is asked for: some bring numba or PyTorch with them, which take seconds to import.
     if kind == "classes":
-        return classes.compare_classes(path_a, path_b, progress)
-    compare: dict[Kind, Callable[[Path, Path], Found]] = {
-        "scoremap": scoremaps.compare_scoremaps,
-        "scores": scores.compare_scores,
-        "plan": plans.compare_plans,
-        "team plan": plans.compare_plans,
-        "drive log": drives.compare_drives,
-        "figures": printed.compare_printed,
-    }
-    return compare[kind](path_a, path_b)
+        from hrt_cli.evaluation.compare.classes import compare_classes
+
+        return compare_classes(a, b, progress)
+    if kind == "scoremap":
+        from hrt_cli.evaluation.compare.scoremaps import compare_scoremaps
+
+        return compare_scoremaps(a, b)
+    if kind == "scores":
+        from hrt_cli.evaluation.compare.scores import compare_scores
+
+        return compare_scores(a, b)
+    if kind in ("plan", "team plan"):
+        from hrt_cli.evaluation.compare.plans import compare_plans
+
+        return compare_plans(a, b)
+    if kind == "drive log":
+        from hrt_cli.evaluation.compare.drives import compare_drives
+
+        return compare_drives(a, b)
+    if kind == "figures":
+        return printed.compare_printed(a, b)
+    from hrt_cli.evaluation.compare.models import compare_models, read_weights
+
+    return compare_models(read_weights(kind, a), read_weights(kind, b))
 
 
 def _told(verdict: Verdict) -> str:
@@ -163,6 +158,9 @@ def _origin(kind: Kind, path: Path, note: Note) -> Provenance | None:
 
 
 def _of_raster(path: Path) -> Provenance | None:
+    from hrt_cli.raster.cog import tagged_provenance
+    from hrt_cli.raster.gate import open_raster
+
     with open_raster(path, unreferenced=True) as raster:
         return tagged_provenance(raster)
 

@@ -180,8 +180,9 @@ def _draw_tensors(per_tensor: dict[str, dict[str, Any]], caption: str) -> Figure
     figure, axes = _rows(len(shown), caption)
     most = np.array([per_tensor[name]["max"] for name in shown])
     floor = most[most > 0].min() / 10 if (most > 0).any() else 1e-12
-    axes.set_xscale("log")
-    axes.barh(range(len(shown)), np.maximum(most, floor) * (most > 0), 0.7, left=None, color=_WITHIN)
+    axes.barh(range(len(shown)), most, 0.7, color=_WITHIN)
+    if (most > 0).any():
+        axes.set_xscale("log")
     axes.set_xlim(floor, 3 * max(float(most.max(initial=0.0)), floor))
     for row, value in enumerate(most):
         axes.text(max(value, floor) * 1.05, row, f" {value:.3g}", va="center_baseline", fontsize=8)

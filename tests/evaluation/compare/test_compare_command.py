@@ -30,6 +30,9 @@ from compare_files import (
 from hrt_cli.artifacts.png import png_provenance
 from hrt_cli.errors import ArgumentError, InputError, OutputError
 from hrt_cli.evaluation.compare.kinds import kind_of
+from hrt_cli.evaluation.compare.names import NAMES
+
+COLUMNS = ("speed_m_s", "commanded_m_s", "heading_deg", "pitch_deg", "roll_deg", "depth_m")
 
 
 @pytest.fixture(scope="module")
@@ -126,6 +129,12 @@ def test_a_long_list_of_figures_shows_those_that_differ(tmp_path: Path) -> None:
     assert lines[1] == "499 of 500 figures are equal"
     assert len(lines) == 4
     assert lines[-1].split() == ["321", "321", "322", "1", "0", "DIFFERENT"]
+    assert lines[0].endswith("(B) are DIFFERENT")
+    lines = compare(tmp_path / "a.json", tmp_path / "b.json", "--tolerance", "321=1").stdout.splitlines()
+    assert lines[0].endswith("(B) are the same within the tolerances")
+    lines = compare(tmp_path / "a.json", tmp_path / "a.json").stdout.splitlines()
+    assert lines[0].endswith("(B) are the same")
+    assert lines[1:] == ["500 of 500 figures are equal"]
 
 
 def pairs(artifacts: dict[str, Path], folder: Path) -> dict[str, Path]:
@@ -160,12 +169,34 @@ def test_every_kind_has_a_figure_that_is_an_artifact(artifacts: dict[str, Path],
         assert found is not None
         assert {"a", "b"} <= {each.role for each in found.inputs}
         before = figure.read_bytes()
-        assert compare(a, others[kind], "--figure", figure, *on, "--force").exception.exit_code == 3
+        assert compare(a, others[kind], "--figure", figure, *on).exception.exit_code == 3
         assert figure.read_bytes() == before, kind
-        same = compare(a, a, "--figure", figure)
-        assert isinstance(same.exception, OutputError), "it is another's"
-        assert same.stdout == ""
-        assert compare(a, a, "--figure", figure, "--overwrite").exit_code == 0
+
+
+def test_a_figure_is_the_same_bytes_and_replaces_no_other(artifacts: dict[str, Path], tmp_path: Path) -> None:
+    other, figure = put_scores(tmp_path / "t.json", _0={"alpha": 5.0}), tmp_path / "f.png"
+    for kind in ("scores", "policy", "figures", "plan"):
+        a = artifacts[kind]
+        assert compare(a, a, "--figure", figure, "--overwrite").exit_code == 0, "what is the same is drawn, too"
+        before = figure.read_bytes()
+        assert compare(a, a, "--figure", figure, "--force").exit_code == 0
+        assert figure.read_bytes() == before
+    done = compare(artifacts["scores"], other, "--figure", figure)
+    assert isinstance(done.exception, OutputError), "it is another's"
+    assert done.stdout == ""
+
+
+def test_every_figure_has_its_place_among_those_that_take_a_tolerance(
+    artifacts: dict[str, Path], tmp_path: Path
+) -> None:
+    for kind, other in pairs(artifacts, tmp_path).items():
+        if kind == "figures":
+            continue
+        found = json.loads(compare(artifacts[kind], other, "--json").stdout)["figures"]
+        judged = {name for name, each in found.items() if each["tolerance"] is not None}
+        assert judged <= set(NAMES[kind])
+        # A log of more records is not compared record by record.
+        assert set(NAMES[kind]) - judged <= ({"times_s", *COLUMNS} if kind == "drive log" else set())
 
 
 @pytest.mark.parametrize(
