@@ -41,7 +41,7 @@ def compare_drives(path_a: Path, path_b: Path) -> Found:
     `apart_m` is the largest distance between the robots, in ground metres, at equal times since each log began: at
     every record of either, between whose places a robot goes straight; the one whose log is over stands where it ended.
     Logs of as many records are compared record by record besides: `times_s`, and each column that both have.
-    `events` counts those that only one has at that time.
+    `events` counts those that only one has at that time, `breaks` the records that no drive leads to in only one.
 
     Raises
     ------
@@ -65,7 +65,7 @@ def compare_drives(path_a: Path, path_b: Path) -> Found:
         text("frame", _frame(a), _frame(b), counts=origin_of(path_a, a) is None or origin_of(path_b, b) is None),
         text("end", a.end or "unknown", b.end or "unknown"),
         text("robot", _robot(a), _robot(b)),
-        text("breaks", None, None, same=a.breaks == b.breaks),
+        apart("breaks", float(len(set(a.breaks) ^ set(b.breaks)))),
     ]
     lines = [
         f"{what} after {at_s:.6g} s in {name} only"

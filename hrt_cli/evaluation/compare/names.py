@@ -24,6 +24,16 @@ NAMES: dict[Kind, tuple[str, ...]] = {
     "steering model": _MODEL,
     "drive log": (
         *("apart_m", "distance_m", "duration_s", "collisions", "interventions", "stuck", "stalled_s", "records"),
-        *("events", "times_s", "speed_m_s", "commanded_m_s", "heading_deg", "pitch_deg", "roll_deg", "depth_m"),
+        *(
+            "events",
+            "breaks",
+            "times_s",
+            "speed_m_s",
+            "commanded_m_s",
+            "heading_deg",
+            "pitch_deg",
+            "roll_deg",
+            "depth_m",
+        ),
     ),
 }

@@ -176,7 +176,8 @@ def by_recursion(a: np.ndarray, b: np.ndarray) -> float:
 def test_the_frechet_distance_is_that_of_its_definition_and_of_geos(a: np.ndarray, b: np.ndarray) -> None:
     found = frechet(a.astype(float), b.astype(float))
     assert found == pytest.approx(by_recursion(a, b))
-    assert found == pytest.approx(shapely.frechet_distance(shapely.LineString(a), shapely.LineString(b)))
+    if all((np.diff(way, axis=0) != 0).any(axis=1).all() for way in (a, b)):  # GEOS errs where a place stands twice
+        assert found == pytest.approx(shapely.frechet_distance(shapely.LineString(a), shapely.LineString(b)))
     assert found == pytest.approx(frechet(b.astype(float), a.astype(float)))
     assert frechet(a, a) == 0
     assert frechet(a, a[::-1]) >= np.hypot(*(a[0] - a[-1]))
