@@ -13,7 +13,7 @@ from hrt_cli.artifacts.drivelog import DriveLog
 from hrt_cli.errors import InputError
 from hrt_cli.evaluation.compare.result import Figure, Found, apart, number, text
 from hrt_cli.evaluation.compare.tracks import Floats, ground_metres
-from hrt_cli.evaluation.drives import evaluate_drives
+from hrt_cli.evaluation.drives import measure_log
 from hrt_cli.logs.read import read_drive_log
 from hrt_cli.raster.grid import WGS84, transform_points, wrapped_deg
 
@@ -48,8 +48,8 @@ def compare_drives(path_a: Path, path_b: Path) -> Found:
     InputError
         A log cannot be used, or names a CRS that is not known.
     """
-    a, b = read_drive_log(path_a), read_drive_log(path_b)
-    measure_a, measure_b = (evaluate_drives([path]).total for path in (path_a, path_b))
+    a, b = (read_drive_log(path, as_it_stands=True) for path in (path_a, path_b))
+    measure_a, measure_b = measure_log(path_a, a), measure_log(path_b, b)
     figures = [_tracks(path_a, a, path_b, b)]
     figures += [
         number(name, getattr(measure_a, name), getattr(measure_b, name), unit) for name, unit in _MEASURES.items()

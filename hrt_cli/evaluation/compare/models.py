@@ -111,7 +111,7 @@ def _read_texture_model(path: Path) -> Weights:
 def _read_steering_model(path: Path) -> Weights:
     from hrt_cli.steering.network.model import read_model  # PyTorch takes a second to import
 
-    net = read_model(path)
+    net = read_model(path, as_it_stands=True)
     tensors = {name: tensor.numpy() for name, tensor in net.state_dict().items()}
     return Weights(tensors, json.loads(net.config.model_dump_json()))
 

@@ -133,7 +133,7 @@ def draw_plans(a: Path, b: Path, scoremap: Path | None, caption: str) -> Figure:
 
 def draw_drives(a: Path, b: Path, caption: str) -> Figure:
     """Draw both tracks on one map."""
-    logs = [read_drive_log(path) for path in (a, b)]
+    logs = [read_drive_log(path, as_it_stands=True) for path in (a, b)]
     origin = origin_of(a, logs[0])
     if (origin is None) != (origin_of(b, logs[1]) is None):
         raise InputError(b, f"cannot be drawn on one map with {a}: only one of them has a place on it")

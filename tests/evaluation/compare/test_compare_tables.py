@@ -135,6 +135,31 @@ def test_a_steering_model_with_one_weight_or_setting_off(steering: Callable[...,
     assert isinstance(compare(a, a).exception, InputError)
 
 
+def test_what_was_edited_in_place_is_compared_as_it_stands_and_it_is_said(
+    tmp_path: Path, steering: Callable[..., Path]
+) -> None:
+    from safetensors import safe_open
+    from safetensors.torch import save_file
+
+    log, model = put_drive(tmp_path / "a.jsonl"), steering("a.safetensors")
+    lines = log.read_text().splitlines()
+    lines[8] = json.dumps(json.loads(lines[8]) | {"y": 4_999_993.0})
+    (tmp_path / "b.jsonl").write_text("\n".join(lines) + "\n")
+    with safe_open(model, "pt") as file:
+        tensors, metadata = {name: file.get_tensor(name) for name in file.keys()}, file.metadata()  # noqa: SIM118
+    next(iter(tensors.values())).view(-1)[0] += 1e-3
+    save_file(tensors, tmp_path / "b.safetensors", metadata)
+    arrays = np.load(put_policy(tmp_path / "a.npz"))
+    moved = {name: arrays[name].copy() for name in arrays.files}
+    moved["weights"][0] += 1e-3
+    np.savez(tmp_path / "b.npz", **moved)
+    for a, wanted in ((log, {"apart_m"}), (model, {"max", "relative"}), (tmp_path / "a.npz", {"max", "relative"})):
+        other = tmp_path / f"b{a.suffix}"
+        assert differing(a, other) == wanted
+        assert "not what its provenance recorded" in compare(a, other).stderr
+        assert differing(other, other) == set()
+
+
 @pytest.mark.parametrize(
     ("change", "wanted"),
     [
