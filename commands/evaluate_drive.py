@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
+from dataclasses import asdict, fields
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -10,7 +10,6 @@ import click
 
 from hrt_cli import options as opt
 from hrt_cli.completion import class_names
-from hrt_cli.errors import DifferenceError
 from hrt_cli.manual import Command
 from hrt_cli.progress import Console
 
@@ -21,7 +20,7 @@ if TYPE_CHECKING:
 
 @click.command(
     cls=Command,
-    difference="there was a collision, and --require-no-collision is given",
+    difference="a --require does not hold",
     keys=(
         "distance_m",
         "duration_s",
@@ -54,7 +53,7 @@ Example:
     shell_complete=class_names,
     help="Class to look for: its name or number. Default: the one that the world names.",
 )
-@click.option("--require-no-collision", is_flag=True, help="Exit with 3 if there was a collision.")
+@opt.require_opt
 @opt.figure_opt
 @opt.existing_options
 @opt.console_options
@@ -63,7 +62,7 @@ def drive(
     world: Path | None,
     scoremap: Path | None,
     target: str | None,
-    require_no_collision: bool,
+    demands: tuple[tuple[str, str, float], ...],
     figure: Path | None,
     existing: Existing,
     console: Console,
@@ -73,8 +72,10 @@ def drive(
     Distance, duration and events come from the logs; clearances and the share of the camera's picture that shows the
     target from the --world; the score of the cells that the robot went through from the --scoremap.
     """
-    from hrt_cli.evaluation.drives import evaluate_drives
+    from hrt_cli.evaluation.demands import check_names, require
+    from hrt_cli.evaluation.drives import DriveMeasure, evaluate_drives
 
+    check_names(demands, (*(each.name for each in fields(DriveMeasure)), "target_curve", "drives"))
     with console.bar("evaluate") as progress:
         found = evaluate_drives(logs, world=world, scoremap=scoremap, target=target, progress=progress)
     for note in found.notes:
@@ -92,18 +93,14 @@ def drive(
             inputs, figure, found.clearance_m, found.weight_s, found.view, caption=_line(found.total), existing=existing
         )
     name = str(logs[0]) if len(logs) == 1 else f"{len(logs)} drives"
-    console.result(
-        f"{name}: {_line(found.total)}",
-        {
-            **asdict(found.total),
-            "target_curve": [list(point) for point in found.view],
-            "drives": {name: asdict(each) for name, each in found.drives.items()},
-            "notes": found.notes,
-        },
-        only_here=True,
-    )
-    if require_no_collision and found.total.collisions:
-        raise DifferenceError(f"{name}: {found.total.collisions} collisions")
+    data = {
+        **asdict(found.total),
+        "target_curve": [list(point) for point in found.view],
+        "drives": {name: asdict(each) for name, each in found.drives.items()},
+        "notes": found.notes,
+    }
+    console.result(f"{name}: {_line(found.total)}", data, only_here=True)
+    require(data, demands)
 
 
 def _line(total: DriveMeasure) -> str:

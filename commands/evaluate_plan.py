@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from hrt_cli import options as opt
-from hrt_cli.errors import DifferenceError
 from hrt_cli.manual import Command
 from hrt_cli.progress import Console
 
@@ -17,11 +16,14 @@ if TYPE_CHECKING:
     from hrt_cli.evaluation.plans import PlanComparison
     from hrt_cli.evaluation.starts import StartsComparison
 
+FIGURES = ("plans", "planner", "baselines", "upper_bound", "discounted_upper_bound")
+"""Keys of the result without --starts."""
+
 
 @click.command(
     cls=Command,
-    difference="a plan's fraction of the bound is less than --require",
-    keys=("plans", "planner", "baselines", "upper_bound", "discounted_upper_bound"),
+    difference="a --require does not hold",
+    keys=FIGURES,
     see_also=("plan",),
     epilog="""\b
 Example:
@@ -51,14 +53,9 @@ Example:
     show_default="1",
     help="With --starts: runs of each method from each of them.",
 )
-@click.option(
-    "--require",
-    type=opt.FiniteFloat(0, 1),
-    metavar="FRACTION",
-    help="Exit with 3 if a plan's fraction of the bound is less.",
-)
 @opt.seed_opt
 @opt.workers_opt
+@opt.require_opt
 @opt.figure_opt
 @opt.existing_options
 @opt.console_options
@@ -68,9 +65,9 @@ def plan(
     planner: bool,
     starts: int | None,
     seeds: int | None,
-    require: float | None,
     seed: int,
     workers: int,
+    demands: tuple[tuple[str, str, float], ...],
     figure: Path | None,
     existing: Existing,
     console: Console,
@@ -79,15 +76,17 @@ def plan(
 
     With --starts, every method is also run from other starts with the plans' budget and objective: the mean, the 95 %
     bootstrap interval of the mean, and the worst run. The figure shows the cumulative reward, of the plans or, with
-    --starts, the mean over the starts.
+    --starts, the mean over the starts. A figure that --require names is every plan's: 'fraction_of_bound>=0.97'.
     """
-    from dataclasses import asdict
+    from dataclasses import asdict, fields
 
-    from hrt_cli.evaluation.plans import Trials, evaluate_plans
+    from hrt_cli.evaluation.demands import check_names, require
+    from hrt_cli.evaluation.plans import Trials, Worth, evaluate_plans
     from hrt_cli.report.figures.rewards import begin_figure
 
     if seeds is not None and starts is None:
         raise click.UsageError("--seeds repeats the runs from each of --starts: give both")
+    check_names(demands, (*(each.name for each in fields(Worth)), *FIGURES, *(("starts",) if starts else ())))
     trials = Trials(seed, planner, starts or 0, seeds or 1)
     drawing = begin_figure(scoremap, plans, figure, trials.parameters(), existing=existing) if figure else None
     with console.bar("evaluate") as progress:
@@ -105,12 +104,7 @@ def plan(
         methods = {name: asdict(each) for name, each in found.starts.methods.items()}
         data["starts"] = {"count": found.starts.count, "seeds": found.starts.seeds, "methods": methods}
     console.result("\n".join(_lines(found)), data, only_here=True)
-    poor = [name for name, w in found.plans.items() if require is not None and w.fraction_of_bound < require]
-    if poor:
-        raise DifferenceError(
-            f"{poor[0]}: its fraction of the bound, {found.plans[poor[0]].fraction_of_bound:.6g}, is less than "
-            f"{require:g} ({len(poor)} of {len(found.plans)} plans failed)"
-        )
+    require(data, demands, within="plans")
 
 
 def _lines(found: PlanComparison) -> list[str]:

@@ -14,16 +14,35 @@ from hrt_cli.progress import Console
 if TYPE_CHECKING:
     from hrt_cli.artifacts.stage import Existing
 
+FIGURES = (
+    "ari",
+    "nmi",
+    "accuracy",
+    "mean_iou",
+    "vote_recall",
+    "boundary_f",
+    "boundary_precision",
+    "boundary_recall",
+    "boundary_tolerance_m",
+    "per_class",
+    "matching",
+    "confusion",
+    "class_ids",
+    "truth_ids",
+)
+"""Keys of the result."""
+
 
 @click.command(
     cls=Command,
-    keys=("ari", "nmi", "accuracy", "mean_iou", "boundary_f", "per_class", "matching", "confusion"),
+    difference="a --require does not hold",
+    keys=FIGURES,
     see_also=("segment",),
     epilog="""\b
 Example:
   hrt synth site --scene meadow --size 40
   hrt segment site/ortho.tif -o site/classes.tif --classes 6
-  hrt evaluate segment site/classes.tif site/truth.tif --figure site/agreement.png
+  hrt evaluate segment site/classes.tif site/truth.tif --figure site/agreement.png --require 'ari>=0.8'
 """,
 )
 @click.argument("classes", type=opt.CLASSES)
@@ -35,6 +54,7 @@ Example:
     "with --unreferenced in pixels, 0.75 % of the diagonal.",
 )
 @opt.unreferenced_opt
+@opt.require_opt
 @opt.figure_opt
 @opt.existing_options
 @opt.console_options
@@ -43,6 +63,7 @@ def segment(
     truth: Path,
     tolerance_m: float | None,
     unreferenced: bool,
+    demands: tuple[tuple[str, str, float], ...],
     figure: Path | None,
     existing: Existing,
     console: Console,
@@ -55,8 +76,10 @@ def segment(
     """
     from dataclasses import asdict
 
+    from hrt_cli.evaluation.demands import check_names, require
     from hrt_cli.evaluation.segment import evaluate_segmentation
 
+    check_names(demands, FIGURES)
     with console.bar("evaluate") as progress:
         found = evaluate_segmentation(
             classes, truth, tolerance_m=tolerance_m, unreferenced=unreferenced, progress=progress
@@ -71,23 +94,21 @@ def segment(
         from hrt_cli.report.figures.agreement import draw_agreement
 
         draw_agreement(classes, truth, figure, areas, line, unreferenced=unreferenced, existing=existing)
-    console.result(
-        f"{classes}: {line}",
-        {
-            "ari": areas.ari,
-            "nmi": areas.nmi,
-            "accuracy": areas.accuracy,
-            "mean_iou": areas.mean_iou,
-            "vote_recall": areas.vote_recall,
-            "boundary_f": boundary.f,
-            "boundary_precision": boundary.precision,
-            "boundary_recall": boundary.recall,
-            "boundary_tolerance_m": found.tolerance_m,
-            "per_class": [asdict(each) for each in areas.per_class],
-            "matching": {str(k): v for k, v in areas.matching.items()},
-            "confusion": areas.confusion.tolist(),
-            "class_ids": areas.class_ids,
-            "truth_ids": areas.truth_ids,
-        },
-        only_here=True,
-    )
+    data = {
+        "ari": areas.ari,
+        "nmi": areas.nmi,
+        "accuracy": areas.accuracy,
+        "mean_iou": areas.mean_iou,
+        "vote_recall": areas.vote_recall,
+        "boundary_f": boundary.f,
+        "boundary_precision": boundary.precision,
+        "boundary_recall": boundary.recall,
+        "boundary_tolerance_m": found.tolerance_m,
+        "per_class": [asdict(each) for each in areas.per_class],
+        "matching": {str(k): v for k, v in areas.matching.items()},
+        "confusion": areas.confusion.tolist(),
+        "class_ids": areas.class_ids,
+        "truth_ids": areas.truth_ids,
+    }
+    console.result(f"{classes}: {line}", data, only_here=True)
+    require(data, demands)

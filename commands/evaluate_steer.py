@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
+from dataclasses import asdict, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -17,10 +17,13 @@ if TYPE_CHECKING:
     from hrt_cli.artifacts.stage import Existing
     from hrt_cli.evaluation.steering import SteerMeasure
 
+FIGURES = ("skipped", "constant", "sessions", "reliability", "confusion")
+"""Keys of the result beside those of `Measure`."""
+
 
 @click.command(
     cls=Command,
-    difference="the model is worse than --require-mae or --require-better-than-constant allow",
+    difference="a --require does not hold, or the model is no better than a constant that it is to be better than",
     keys=(
         "mae",
         "rmse",
@@ -44,12 +47,12 @@ Example:
 )
 @click.argument("model", type=opt.ANY_STEERING)
 @click.argument("data", nargs=-1, required=True, type=opt.FOLDER)
-@click.option("--require-mae", type=opt.FiniteFloat(0), help="Exit with 3 if the mean absolute error is larger.")
 @click.option(
     "--require-better-than-constant",
     is_flag=True,
     help="Exit with 3 unless the error is smaller than that of always steering the median of the labels.",
 )
+@opt.require_opt
 @opt.skip_bad_opt
 @opt.correction_opt
 @opt.figure_opt
@@ -58,8 +61,8 @@ Example:
 def steer(
     model: Path,
     data: tuple[Path, ...],
-    require_mae: float | None,
     require_better_than_constant: bool,
+    demands: tuple[tuple[str, str, float], ...],
     skip_bad: bool,
     correction: float,
     figure: Path | None,
@@ -73,8 +76,11 @@ def steer(
     angle, the median of these labels: a model that is no better has learnt nothing. Data that were trained on say
     little about others.
     """
+    from hrt_cli.evaluation.demands import check_names, require
     from hrt_cli.evaluation.steering import evaluate_steer
+    from hrt_cli.steering.network.metrics import Measure
 
+    check_names(demands, (*(each.name for each in fields(Measure)), *FIGURES))
     with console.bar("evaluate") as progress:
         found = evaluate_steer(
             model, data, skip_bad=skip_bad, correction=correction, progress=progress, note=console.note
@@ -84,10 +90,10 @@ def steer(
 
         inputs = {"model": model} | {f"labels/{index}": path for index, path in enumerate(found.files)}
         draw_steering(inputs, figure, found, digest=found.digest, caption=_line(found), existing=existing)
-    console.result(f"{model}: {_line(found)}", _document(found), only_here=True)
+    document = _document(found)
+    console.result(f"{model}: {_line(found)}", document, only_here=True)
+    require(document, demands)
     mae, constant = found.total.mae, found.total.constant_baseline_mae
-    if require_mae is not None and mae > require_mae:
-        raise DifferenceError(f"{model}: the mean absolute error is {mae:.4g}, more than {require_mae:g}")
     if require_better_than_constant and mae >= constant:
         raise DifferenceError(
             f"{model}: the mean absolute error is {mae:.4g}, no less than that of a constant, {constant:.4g}"

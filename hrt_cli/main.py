@@ -67,6 +67,7 @@ COMMANDS = {
         "Write a steering MODEL as ONNX, which robots run without PyTorch.",
     ),
     "evaluate": ("hrt_commands.evaluate:evaluate", "Measure a segmentation, plans, drives or a steering model."),
+    "compare": ("hrt_commands.compare:compare", "Tell how two artifacts of one kind, A and B, differ."),
     "report": (
         "hrt_commands.report:report",
         "Write one page of all that PATHS, files and folders, hold: maps, drives, charts, provenance.",

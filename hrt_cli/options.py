@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 
 F = TypeVar("F", bound=Callable[..., Any])
 
+_DEMAND = re.compile(r"(.*[^<>=\s])\s*(>=|<=|==|>|<)\s*([^<>=\s]+)\s*")
 _BANDS = re.compile(r"[1-9][0-9]{0,4}(,[1-9][0-9]{0,4})*")
 
 
@@ -211,6 +212,38 @@ class NameValue(click.ParamType):  # type: ignore[type-arg]
         return name, text
 
 
+class Demand(click.ParamType):  # type: ignore[type-arg]
+    """A demand on a figure, such as `ari>=0.8`, as name, operator and number."""
+
+    name = "FIGURE>=VALUE"
+
+    def convert(  # noqa: D102
+        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
+    ) -> tuple[str, str, float]:
+        if isinstance(value, tuple):
+            return value
+        parts = _DEMAND.fullmatch(str(value))
+        if parts is None:
+            self.fail(f"{value!r} is not of the form {self.name}, such as 'ari>=0.8' (or <=, >, <, ==)", param, ctx)
+        return parts[1].strip(), parts[2], FiniteFloat().convert(parts[3], param, ctx)
+
+
+class Tolerance(click.ParamType):  # type: ignore[type-arg]
+    """A tolerance written `FIGURE=VALUE`; the figure may be a path with any signs in it."""
+
+    name = "FIGURE=VALUE"
+
+    def convert(  # noqa: D102
+        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
+    ) -> tuple[str, float]:
+        if isinstance(value, tuple):
+            return value
+        figure, equals, text = str(value).rpartition("=")
+        if not (figure and equals):
+            self.fail(f"{value!r} is not of the form {self.name}, such as rmse=0.01", param, ctx)
+        return figure, FiniteFloat(0).convert(text, param, ctx)
+
+
 def console_options(command: F) -> F:
     """Add `--json`, `-q`, `-v`, handed over as one `console`."""
 
@@ -319,6 +352,14 @@ figure_opt = click.option(
 )
 
 backdrop_opt = click.option("--backdrop", type=RASTER, callback=_backdrop, help="Orthomosaic to draw the figure on.")
+
+require_opt = click.option(
+    "--require",
+    "demands",
+    multiple=True,
+    type=Demand(),
+    help="Exit with 3 unless a number of the --json output, by its key or dotted path, is so.",
+)
 
 
 def _bands(text: str | None) -> tuple[int, ...]:

@@ -40,7 +40,7 @@ reef() {
   hrt export "$out/plan.json" --vehicle submarine --format qgc -o "$out/mission.plan"
   hrt drive "$out/plan.json" --world "$out/site" -o "$out/drive.jsonl" --local expert
   hrt evaluate drive "$out/drive.jsonl" --world "$out/site" --scoremap "$out/scoremap.tif" --figure "$out/drive.png" \
-    --require-no-collision
+    --require collisions==0
 }
 
 "$mission"

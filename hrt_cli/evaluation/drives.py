@@ -149,9 +149,14 @@ def evaluate_drives(
     found: dict[str, _Measured] = {}
     for index, path in enumerate(logs):
         score = _collected([path], scoremap)
-        found[str(path)] = _measure(path, site, number, score)
+        found[str(path)] = _measure(path, read_drive_log(path), site, number, score)
         progress(index + 1, len(logs))
     return _together(found, _collected(logs, scoremap))
+
+
+def measure_log(path: Path, log: DriveLog) -> DriveMeasure:
+    """Measure one drive by its log alone; `path` is for the message of an `InputError`."""
+    return _measure(path, log, None, None, None).measure
 
 
 def _target(site: Site, target: str | None, world: Path) -> int | None:
@@ -173,8 +178,7 @@ def _collected(logs: Sequence[Path], scoremap_path: Path | None) -> float | None
     return math.fsum(score for score in scores if not math.isnan(score))
 
 
-def _measure(path: Path, site: Site | None, target: int | None, score: float | None) -> _Measured:
-    log = read_drive_log(path)
+def _measure(path: Path, log: DriveLog, site: Site | None, target: int | None, score: float | None) -> _Measured:
     gone_m = _gone(path, log)
     step_s = np.where(_driven(log), np.diff(log.time_s), 0.0)
     weight_s = np.append(step_s, 0.0) / 2 + np.append(0.0, step_s) / 2

@@ -15,11 +15,13 @@ from hrt_cli.logs.lines import read_lines
 from hrt_cli.logs.ros import read_ros
 from hrt_cli.logs.table import read_table
 
-_TEXTS: dict[Kind, Callable[[Path, str], DriveLog]] = {LINES: read_lines, TABLE: read_table, GPX: read_gpx}
+_TEXTS: dict[Kind, Callable[[Path, str], DriveLog]] = {TABLE: read_table, GPX: read_gpx}
 
 
-def read_drive_log(path: Path) -> DriveLog:
+def read_drive_log(path: Path, *, as_it_stands: bool = False) -> DriveLog:
     """Read a drive log of any kind (`kinds`). One of ours with provenance is checked against it.
+
+    Read `as_it_stands` it is not, for what only tells of it.
 
     Raises
     ------
@@ -28,6 +30,8 @@ def read_drive_log(path: Path) -> DriveLog:
         its kind is not installed.
     """
     kind = kind_of(path)
+    if kind == LINES:
+        return read_lines(path, _text(path, kind), as_it_stands=as_it_stands)
     if kind in _TEXTS:
         return _TEXTS[kind](path, _text(path, kind))
     return read_ardupilot(path) if kind == DATAFLASH else read_ros(path, kind)

@@ -111,6 +111,8 @@ class Raster:
         What the file says of its bands, "" where it says nothing.
     scales, offsets : tuple of float
         A band's values are meant to be those read times its scale plus its offset; `read_bands` does not apply them.
+    has_crs : bool
+        Whether the file names a CRS, be it opened as a plain image or not.
     lossy : bool
         Whether the pixels (of a VRT, those of its first part) are compressed with loss, an alpha band among them.
     notes : list of str
@@ -129,6 +131,7 @@ class Raster:
         self.scales: tuple[float, ...] = dataset.scales
         self.offsets: tuple[float, ...] = dataset.offsets
         self.driver: str = dataset.driver
+        self.has_crs = dataset.crs is not None and bool(dataset.crs.to_wkt())
         self.colours: tuple[ColorInterp, ...] = dataset.colorinterp
         self.block_shape: tuple[int, int] = dataset.block_shapes[0]
         self.compression: str = str(dataset.profile.get("compress", "none"))

@@ -257,13 +257,37 @@ def require_same_grid(path: str | PathLike[str], grid: Grid, other_path: str | P
         raise InputError(path, f"{beside}: {sizes}")
     if (grid.crs is None) != (other.crs is None) or grid.crs != other.crs:
         raise InputError(path, f"{beside}: the coordinate reference systems differ")
+    offset = _apart_px(grid, other)
+    if not offset <= _SAME_GRID_PX:
+        raise InputError(path, f"{beside}: the pixels are up to {offset:.2f} px apart")
+
+
+def lattice_offset(grid: Grid, other: Grid) -> tuple[int, int] | None:
+    """Return where the first pixel of `grid` lies on `other`, (row, col), where both are of one lattice of pixels.
+
+    None where their CRSs differ, or their pixels do not lie on one another (to a hundredth of a pixel). Plain images
+    are of one lattice only where they are of one size: what they show of each other's ground nobody knows.
+    """
+    if grid.crs is None or other.crs is None:
+        return (0, 0) if grid.crs is other.crs and grid.shape == other.shape and _lie_alike(grid, other) else None
+    if grid.crs != other.crs:
+        return None
+    down, right = (round(at) for at in other.rowcol(*map(float, grid.xy(0.0, 0.0))))
+    moved = Grid(grid.rows, grid.cols, other.transform @ Affine.translation(right, down), other.crs)
+    return (down, right) if _lie_alike(grid, moved) else None
+
+
+def _lie_alike(grid: Grid, other: Grid) -> bool:
+    return _apart_px(grid, other) <= _SAME_GRID_PX
+
+
+def _apart_px(grid: Grid, other: Grid) -> float:
+    """Return how far the corners of `grid` lie from where `other` has them, in its pixels."""
     rows = np.array([0.0, 0.0, grid.rows, grid.rows])
     cols = np.array([0.0, grid.cols, 0.0, grid.cols])
     x, y = grid.xy(rows, cols)
     placed = np.array([other.rowcol(float(px), float(py)) for px, py in zip(x, y, strict=True)])
-    offset = np.abs(placed - np.stack([rows, cols], axis=1)).max()
-    if not offset <= _SAME_GRID_PX:
-        raise InputError(path, f"{beside}: the pixels are up to {offset:.2f} px apart")
+    return float(np.abs(placed - np.stack([rows, cols], axis=1)).max())
 
 
 def transform_points(source: CRS, target: CRS, x: ArrayLike, y: ArrayLike) -> tuple[Floats, Floats]:

@@ -302,7 +302,7 @@ def test_the_command(tmp_path: Path, walled: Path, scoremap: Path) -> None:
     records = eastward(8.0)
     log, figure = put(tmp_path / "d.jsonl", records, robot=UGV), tmp_path / "f.png"
     words = ["evaluate", "drive", log, "--world", walled, "--scoremap", scoremap, "--figure", figure]
-    done = hrt(*words, "--json", "--require-no-collision")
+    done = hrt(*words, "--json", "--require", "collisions==0")
     assert done.exit_code == 0, done.output
     said = json.loads(done.stdout)
     assert set(said) >= {
@@ -321,10 +321,13 @@ def test_the_command(tmp_path: Path, walled: Path, scoremap: Path) -> None:
     assert figure.read_bytes() == before
     records[3]["event"] = "collision"
     put(log, records, robot=UGV)
-    worse = hrt(*words[:-2], "--require-no-collision")
+    worse = hrt(*words[:-2], "--require", "collisions==0")
     assert isinstance(worse.exception, DifferenceError)
     assert worse.exception.exit_code == 3
+    assert str(worse.exception) == "collisions is 1, and collisions==0 is required"
     assert "1 collisions" in worse.stdout
+    unknown = hrt("evaluate", "drive", log, "--require", "min_clearance_m>=0")  # without a world nobody knows it
+    assert str(unknown.exception) == "min_clearance_m is not known, and min_clearance_m>=0 is required"
     assert hrt(*words).exit_code != 0, "the figure is another's"
     assert hrt(*words, "--overwrite").exit_code == 0
     assert figure.read_bytes() != before

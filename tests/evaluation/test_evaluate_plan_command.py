@@ -11,7 +11,7 @@ from click.testing import CliRunner, Result
 from plan_files import put, scores
 
 from hrt_cli.artifacts.png import png_provenance
-from hrt_cli.errors import DifferenceError, HrtError
+from hrt_cli.errors import ArgumentError, DifferenceError, HrtError
 from hrt_cli.evaluation.plans import BASELINES, PLANNERS
 from hrt_cli.main import cli
 from hrt_cli.planning.request import PlanRequest, parse_budget, parse_start
@@ -71,12 +71,37 @@ def test_json_keys_over_starts(site: tuple[Path, Path], tmp_path: Path) -> None:
 
 def test_require_fails_below_the_fraction_only(site: tuple[Path, Path]) -> None:
     fraction = json.loads(run(*site, "--json", "--no-planner").stdout)["plans"][str(site[1])]["fraction_of_bound"]
-    assert run(*site, "--no-planner", "--require", fraction).exit_code == 0
-    failed = run(*site, "--no-planner", "--require", np.nextafter(fraction, 1))
+    demand = f"fraction_of_bound>={fraction!r}"
+    assert run(*site, "--no-planner", "--require", demand).exit_code == 0
+    failed = run(*site, "--no-planner", "--require", f"fraction_of_bound>={float(np.nextafter(fraction, 1))!r}")
     assert isinstance(failed.exception, DifferenceError)
     assert failed.exception.exit_code == 3
-    assert str(failed.exception).startswith(f"{site[1]}: its fraction of the bound")
+    assert str(failed.exception).startswith(f"plans.{site[1]}.fraction_of_bound is {fraction:.6g}, and ")
     assert "upper bound" in failed.stdout
+
+
+def test_a_demand_names_every_plan_but_no_baseline_unless_it_says_so(site: tuple[Path, Path], tmp_path: Path) -> None:
+    second = tmp_path / "second.json"
+    request = PlanRequest((parse_start("cell:3,4"),), parse_budget("25"), method="random")
+    plan_file(site[0], second, request)
+    found = json.loads(run(*site, second, "--json", "--no-planner").stdout)
+    low, high = sorted(each["score"] for each in found["plans"].values())
+    assert min(each["score"] for each in found["baselines"].values()) < (low + high) / 2
+    for demand, code in (
+        (f"score>={low!r}", 0),
+        (f"score>{low!r}", 3),
+        (f"plans.{site[1]}.score>={high!r}", 0),
+        (f"plans.{second}.score>{low!r}", 3),
+        (f"baselines.*.score>={low + 1e-6!r}", 3),
+        (f"baselines.greedy.score=={found['baselines']['greedy']['score']!r}", 0),
+        ("upper_bound > 0", 0),
+    ):
+        done = run(*site, second, "--no-planner", "--require", demand)
+        assert getattr(done.exception, "exit_code", 0) == code, demand
+    for name in ("scores", "starts.count", "plans", "baselines.lucky.score", "plans.*.mood"):
+        refused = run(*site, "--no-planner", "--require", f"{name}>0")
+        assert isinstance(refused.exception, ArgumentError), name
+        assert "upper_bound" in str(refused.exception)
 
 
 def test_a_figure_that_may_not_be_replaced_is_told_before_the_work(site: tuple[Path, Path], tmp_path: Path) -> None:
@@ -103,7 +128,7 @@ def test_the_objective_is_told(site: tuple[Path, Path], tmp_path: Path) -> None:
     assert "% of discounted bound" in out
 
 
-@pytest.mark.parametrize("options", [("--seeds", 2), ("--starts", 0), ("--require", 1.1), ("--require", "nan")])
+@pytest.mark.parametrize("options", [("--seeds", 2), ("--starts", 0), ("--require", 0.9), ("--require", "score>=nan")])
 def test_wrong_options_are_usage_errors(site: tuple[Path, Path], options: tuple[object, ...]) -> None:
     assert run(*site, *options).exit_code == 2
 

@@ -181,8 +181,10 @@ def test_the_model_and_its_export_measure_alike(model: Path, seen: Path, tmp_pat
 
 def test_requirements(model: Path, seen: Path, tmp_path: Path) -> None:
     mae = json.loads(run(model, seen, "--json").stdout)["mae"]
-    assert run(model, seen, "--require-mae", mae + 1e-6).exit_code == 0
-    failed = run(model, seen, "--require-mae", mae - 1e-6)
+    assert run(model, seen, "--require", f"mae<={mae + 1e-6}").exit_code == 0
+    assert run(model, seen, "--require", f"mae=={mae!r}", "--require", "outputs.yaw.mae<1").exit_code == 0
+    assert run(model, seen, "--require", f"mae<{mae!r}").exception.exit_code == 3
+    failed = run(model, seen, "--require", f"mae<={mae - 1e-6}")
     assert isinstance(failed.exception, DifferenceError)
     assert "MAE" in failed.stdout  # the result is told all the same
     # Nothing is better than a constant where the robot always steered alike.

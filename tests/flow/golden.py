@@ -1,9 +1,10 @@
-"""The flow on the sample sites of fixtures/, and the figures it is held to (`--write` records them anew)."""
+"""The flow on the sample sites of fixtures/, and the artifacts and figures it is held to (`--write` records them)."""
 
 from __future__ import annotations
 
 import argparse
 import json
+import shutil
 import subprocess
 import sys
 import tempfile
@@ -12,7 +13,8 @@ from typing import Any
 
 ROOT = Path(__file__).parents[2]
 FIXTURES = ROOT / "fixtures"
-GOLDEN = FIXTURES / "golden.json"
+GOLDEN = FIXTURES / "golden"
+ARTIFACTS = ("classes.tif", "scoremap.tif", "plan.json", "figures.json")
 SITES = ("meadow", "wildfire", "reef")
 BUDGET = 120
 
@@ -27,7 +29,7 @@ def hrt(*args: str | Path) -> dict[str, Any]:
 
 
 def run_flow(site: str, out: Path) -> dict[str, Any]:
-    """Run segment, evaluate, scoremap, plan and export on a sample site; return the figures."""
+    """Run segment, evaluate, scoremap, plan and export on a sample site; write and return the figures."""
     folder = FIXTURES / site
     truth_classes = len(json.loads((folder / "world.json").read_text())["classes"])
     classes, scoremap, plan = out / "classes.tif", out / "scoremap.tif", out / "plan.json"
@@ -41,7 +43,7 @@ def run_flow(site: str, out: Path) -> dict[str, Any]:
     for suffix in ("plan", "waypoints", "gpx", "geojson"):
         waypoints[suffix] = hrt("export", plan, "-o", out / f"mission.{suffix}")["waypoints"]
     assert set(waypoints.values()) == {planned["waypoints"]}
-    return {
+    figures = {
         "classes": segmented["classes"],
         "ari": agreement["ari"],
         "accuracy": agreement["accuracy"],
@@ -52,6 +54,8 @@ def run_flow(site: str, out: Path) -> dict[str, Any]:
         "steps": planned["steps"],
         "length_m": planned["length_m"],
     }
+    (out / "figures.json").write_text(json.dumps(figures, indent=2) + "\n")
+    return figures
 
 
 def operator_scores(folder: Path, matching: dict[str, int]) -> dict[str, float]:
@@ -62,15 +66,17 @@ def operator_scores(folder: Path, matching: dict[str, int]) -> dict[str, float]:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--write", action="store_true", help="record the figures")
+    parser.add_argument("--write", action="store_true", help="record artifacts and figures")
+    write = parser.parse_args().write
     figures = {}
     for site in SITES:
         with tempfile.TemporaryDirectory() as out:
             figures[site] = run_flow(site, Path(out))
-    text = json.dumps(figures, indent=2) + "\n"
-    if parser.parse_args().write:
-        GOLDEN.write_text(text)
-    print(text, end="")
+            if write:
+                (GOLDEN / site).mkdir(parents=True, exist_ok=True)
+                for name in ARTIFACTS:
+                    shutil.copyfile(Path(out) / name, GOLDEN / site / name)
+    print(json.dumps(figures, indent=2))
 
 
 if __name__ == "__main__":
