@@ -26,7 +26,7 @@ def init(folder: Path, existing: Existing, console: Console) -> None:
     from hrt_cli.project import create_project
 
     written = create_project(folder, existing=existing)
-    names = ", ".join(path.name for path in written) or "nothing, all is there"
+    names = ", ".join(str(path.relative_to(folder)) for path in written) or "nothing, all is there"
     console.result(
         f"{folder}: wrote {names}; edit config.yaml, then run make -C {folder}",
         {"output": str(folder), "files": [str(path) for path in written], "up_to_date": not written},
