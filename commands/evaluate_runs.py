@@ -28,9 +28,12 @@ Example:
 )
 @click.argument("plans", nargs=-1, required=True, type=opt.PATH)
 @click.option("--table", type=opt.PATH, help="Also write a row for each plan (.csv).")
+@opt.figure_opt
 @opt.existing_options
 @opt.console_options
-def runs(plans: tuple[Path, ...], table: Path | None, existing: Existing, console: Console) -> None:
+def runs(
+    plans: tuple[Path, ...], table: Path | None, figure: Path | None, existing: Existing, console: Console
+) -> None:
     """Put PLANS of several sites and seeds side by side.
 
     Plans that differ in nothing but the seed are of one task: for each is told what its seeds make of the least bound
@@ -43,6 +46,10 @@ def runs(plans: tuple[Path, ...], table: Path | None, existing: Existing, consol
     found = compare_runs(plans)
     if table is not None:
         write_table(found, table, existing=existing)
+    if figure is not None:
+        from hrt_cli.report.figures.runs import draw_runs
+
+        draw_runs(found, figure, existing=existing)
     console.result("\n".join(_line(task) for task in found.tasks), asdict(found), only_here=True)
 
 
