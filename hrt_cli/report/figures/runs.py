@@ -22,6 +22,8 @@ _ROW_INCHES = 0.32
 _MARGIN_INCHES = 1.3
 _MAX_INCHES = 60.0
 _MAX_NAME = 28
+_LEAST_SPAN = 5.0
+"""Percent that are shown at least, so that differences that do not matter do not look large."""
 
 
 def draw_runs(found: Runs, output: Path, *, existing: Existing) -> bool:
@@ -83,15 +85,16 @@ def _figure(found: Runs, labels: list[str]) -> Figure:
     height = min(_MARGIN_INCHES + _ROW_INCHES * len(labels), _MAX_INCHES)
     figure = Figure(figsize=(8.0, height), layout="constrained")
     axes = figure.add_subplot()
-    for row, task in enumerate(found.tasks):
-        shares = _shares(found, task)
+    rows = [_shares(found, task) for task in found.tasks]
+    span = max(_LEAST_SPAN, 100 - min((share for shares in rows for share in shares), default=0.0))
+    for row, shares in enumerate(rows):
         axes.scatter(shares, [row] * len(shares), s=28, color=_DOT, alpha=0.7, lw=0, zorder=3)
         if shares:
             axes.vlines(float(np.mean(shares)), row - 0.3, row + 0.3, color=_MEAN, lw=2, zorder=2)
     axes.set_yticks(range(len(labels)), labels)
     axes.set_ylim(len(labels) - 0.5, -0.5)
     axes.set_xlabel("share of the bound, %: a dot for each seed, a line for their mean")
-    axes.set_xlim(right=100.5)
+    axes.set_xlim(100 - 1.05 * span, 100 + 0.05 * span)
     axes.axvline(100, color="#444444", lw=1, ls="--", zorder=1)
     axes.grid(axis="x", color="#dddddd", lw=0.6)
     axes.set_axisbelow(True)
