@@ -10,6 +10,9 @@ from hrt_cli import options as opt
 from hrt_cli.artifacts.stage import Existing
 from hrt_cli.progress import Console
 
+_NAMED = 6
+"""Files up to which they are named."""
+
 
 @click.command(
     epilog="""\b
@@ -27,7 +30,8 @@ def init(folder: Path, existing: Existing, console: Console) -> None:
 
     written = create_project(folder, existing=existing)
     names = ", ".join(str(path.relative_to(folder)) for path in written) or "nothing, all is there"
+    what = names if len(written) <= _NAMED else f"{len(written)} files"
     console.result(
-        f"{folder}: wrote {names}; edit config.yaml, then run make -C {folder}",
+        f"{folder}: wrote {what}; edit config.yaml, then run make -C {folder}, or snakemake in it",
         {"output": str(folder), "files": [str(path) for path in written], "up_to_date": not written},
     )

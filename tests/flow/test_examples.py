@@ -12,7 +12,7 @@ import pytest
 from hrt_cli.main import COMMANDS
 
 ENV = {**os.environ, "PATH": f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"}
-KINDS = ("segment", "plan", "drive", "steer")
+KINDS = ("segment", "plan", "runs", "drive", "steer")
 NAMES = [name for name in COMMANDS if name != "evaluate"] + [f"evaluate {kind}" for kind in KINDS]
 
 pytestmark = pytest.mark.slow
