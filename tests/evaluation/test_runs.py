@@ -31,12 +31,14 @@ def make_plan(scoremap: Path, output: Path, budget: str = "25", objective: str =
 
 @pytest.fixture(scope="module")
 def plans(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
-    """Two sites, of the first three seeds and a second budget, of the second one seed."""
+    """Two sites, of the first three seeds and a second budget, of the second one seed of either objective."""
     folder = tmp_path_factory.mktemp("runs")
     first, second = put(folder / "a.tif", scores()), put(folder / "b.tif", scores() * 0.5)
     made = [make_plan(first, folder / "a" / f"{seed}.json", seed=seed) for seed in (3, 1, 2)]
     made.append(make_plan(first, folder / "a" / "long.json", "40"))
     made.append(make_plan(second, folder / "b" / "0.json", objective="discounted"))
+    # The same task as the first three, but for the map.
+    made.append(make_plan(second, folder / "b" / "5.json", seed=5))
     return made
 
 
@@ -49,17 +51,18 @@ def run(*args: object) -> Result:
 
 def test_plans_that_differ_in_the_seed_alone_are_of_one_task(plans: list[Path]) -> None:
     # Two sites in turns: the order of the files decides that of the rows, never who belongs together.
-    given = [plans[0], plans[4], plans[1], plans[3], plans[2]]
+    given = [plans[0], plans[4], plans[1], plans[5], plans[3], plans[2]]
     found = json.loads(run(*given, "--json").stdout)
     assert list(found["plans"]) == [str(path) for path in given]
     assert [task["plans"] for task in found["tasks"]] == [
         [str(plans[0]), str(plans[1]), str(plans[2])],
         [str(plans[4])],
+        [str(plans[5])],
         [str(plans[3])],
     ]
     a, b = str(plans[0].parent), str(plans[4].parent)
-    assert [task["name"] for task in found["tasks"]] == [a, b, f"{a} (2)"]
-    assert {run["seed"] for run in found["plans"].values()} == {0, 1, 2, 3}
+    assert [task["name"] for task in found["tasks"]] == [a, b, f"{b} (2)", f"{a} (2)"]
+    assert {run["seed"] for run in found["plans"].values()} == {0, 1, 2, 3, 5}
 
 
 def test_the_figures_are_those_of_the_plans_and_their_spread(plans: list[Path]) -> None:
@@ -114,7 +117,7 @@ def test_the_figure_has_a_row_for_each_task_and_no_folder(plans: list[Path], tmp
     run(*plans, "--figure", all_)
     found = png_provenance(all_)
     assert found is not None
-    assert found.parameters["labels"] == ["a, random", "a (2), random", "b, random"]
+    assert found.parameters["labels"] == ["a, random", "a (2), random", "b, random", "b (2), random"]
     assert cv2.imread(str(all_)).shape[0] > cv2.imread(str(one)).shape[0]
     assert cv2.imread(str(all_)).std() > 5
     assert str(tmp_path).encode() not in all_.read_bytes()
