@@ -51,6 +51,15 @@ def read_sites(path):
     return sites
 
 
+def check_files(settings, where):
+    """Refuse files that are not there: snakemake would leave what was made without them as if it were up to date."""
+    lists = ("keep_out", "policy")
+    for key in ("ortho", "scores", "aoi", "keep_out", "dsm", "interest", "model", "policy"):
+        for path in words(settings.get(key)) if key in lists else filter(None, [settings.get(key)]):
+            if not Path(path).exists() and (key, path) != ("policy", "train"):
+                raise WorkflowError(f"{where}: {key}: no such file: {path}")
+
+
 def at(wildcards):
     """The settings of the site that a job is for."""
     return SITES[wildcards.get("site", "")]
@@ -176,3 +185,5 @@ if config.get("model") and config.get("model_from"):
     raise WorkflowError("config.yaml: model and model_from: give one of them")
 if len(set(SEEDS)) < len(SEEDS):
     raise WorkflowError("config.yaml: seeds: one of them stands there twice")
+for site, settings in SITES.items():
+    check_files(settings, f"{config['sites']}: site {site!r}" if site else "config.yaml")

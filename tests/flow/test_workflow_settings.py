@@ -165,9 +165,11 @@ def test_make_plans_with_a_model_and_a_policy_that_it_is_given(project: Path) ->
         ("explor: 0", None, "config.yaml: Additional properties are not allowed ('explor' was unexpected)"),
         ("sites: sites.tsv", "site\tvehicle\na\tcar\n", "sites.tsv: site 'a': vehicle: 'car' is not one of"),
         ("sites: sites.tsv", "site\tstart\na\n", "sites.tsv: site 'a': more or fewer cells than the table has columns"),
+        ("sites: sites.tsv", "site\tdsm\na\tb.tif\n", "sites.tsv: site 'a': dsm: no such file: b.tif"),
     ],
 )
 def test_snakemake_names_the_key_that_is_wrong(project: Path, change: str, table: str | None, expected: str) -> None:
+    (project / "ortho.tif").touch()
     config = project / "config.yaml"
     key = change.split(":")[0]
     kept = [line for line in config.read_text().splitlines() if not line.startswith(f"{key}:")]
