@@ -16,6 +16,7 @@ KINDS = {
         "Value PLANS on SCOREMAP afresh, beside the planner, lawnmower, rectangle, greedy, spiral, random and the "
         "bound.",
     ),
+    "runs": ("hrt_commands.evaluate_runs:runs", "Put PLANS of several sites and seeds side by side."),
     "drive": ("hrt_commands.evaluate_drive:drive", "Measure the drives in LOGS, in order, of one robot."),
     "steer": (
         "hrt_commands.evaluate_steer:steer",

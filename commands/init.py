@@ -14,6 +14,9 @@ from hrt_cli.progress import Console
 if TYPE_CHECKING:
     from hrt_cli.artifacts.stage import Existing
 
+_NAMED = 6
+"""Files up to which they are named."""
+
 
 @click.command(
     cls=Command,
@@ -33,8 +36,9 @@ def init(folder: Path, existing: Existing, console: Console) -> None:
     from hrt_cli.project import create_project
 
     written = create_project(folder, existing=existing)
-    names = ", ".join(path.name for path in written) or "nothing, all is there"
+    names = ", ".join(str(path.relative_to(folder)) for path in written) or "nothing, all is there"
+    what = names if len(written) <= _NAMED else f"{len(written)} files"
     console.result(
-        f"{folder}: wrote {names}; edit config.yaml, then run make -C {folder}",
+        f"{folder}: wrote {what}; edit config.yaml, then run make -C {folder}, or snakemake in it",
         {"output": str(folder), "files": [str(path) for path in written], "up_to_date": not written},
     )

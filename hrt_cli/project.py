@@ -9,11 +9,30 @@ from hrt_cli.artifacts.publish import publishing
 from hrt_cli.artifacts.stage import REFUSE, Existing
 from hrt_cli.errors import OutputError
 
-WORKFLOW_FILES = ("Makefile", "Snakefile", "rounds.mk", "rounds.smk", "steer.mk", "steer.smk", "config.yaml")
+WORKFLOW_FILES = (
+    "Makefile",
+    "Snakefile",
+    "common.smk",
+    "rounds.mk",
+    "rounds.smk",
+    "rounds_common.smk",
+    "steer.mk",
+    "steer.smk",
+    "steer_common.smk",
+    "config.yaml",
+    "config.schema.yaml",
+    "sites.schema.yaml",
+    "profiles/default/config.yaml",
+    "profiles/slurm/config.yaml",
+    *(
+        f"report/{name}.rst"
+        for name in ("workflow", "classes", "scoremap", "plan", "policy", "rewards", "summary", "round", "steering")
+    ),
+)
 
 
 def create_project(folder: Path, *, existing: Existing = REFUSE) -> list[Path]:
-    """Copy the workflow files into `folder` (made if absent); return those that were written.
+    """Copy the workflow files into `folder` (made if absent, as are folders in it); return those that were written.
 
     Files that are the same already are left alone.
 
@@ -22,10 +41,11 @@ def create_project(folder: Path, *, existing: Existing = REFUSE) -> list[Path]:
     OutputError
         A file of that name exists and differs, or the folder cannot be made.
     """
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise OutputError(f"{folder}: cannot be made: {error.strerror}") from error
+    for place in sorted({(folder / name).parent for name in WORKFLOW_FILES}):
+        try:
+            place.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise OutputError(f"{place}: cannot be made: {error.strerror}") from error
     packaged = resources.files("hrt_pipelines")
     contents = {folder / name: packaged.joinpath(name).read_bytes() for name in WORKFLOW_FILES}
     differing = [path for path, content in contents.items() if path.exists() and path.read_bytes() != content]

@@ -70,7 +70,7 @@ $1/scoremap.tif: $(out)/classes.tif $(learnt) $(layers) $(stamps)/rounds-scorema
 	$(HRT) scoremap $(out)/classes.tif -o $$@ $(cell_args) $(if $(learnt),--scores $(learnt)) --overwrite -q
 	@touch $$@
 
-$1/plan.json: $1/scoremap.tif $(logs) $(log_stamps) $(stamps)/rounds-plan-$2
+$1/plan.json: $1/scoremap.tif $(policies) $(logs) $(log_stamps) $(stamps)/rounds-plan-$2
 	$(call leg_plan,$1,$2) --overwrite
 	@touch $$@
 

@@ -2,83 +2,15 @@
 #
 # With robot=real a missing drive stops the workflow until it is driven. A drive.jsonl that `hrt drive` did not write is
 # never replaced or deleted, whatever becomes of its plan.
-import re
-import zlib
-from pathlib import Path
-
-from snakemake.exceptions import WorkflowError
-
-
 include: "Snakefile"
+include: "rounds_common.smk"
 
 
-if config["robot"] not in ("simulated", "real"):
-    raise WorkflowError(f"config.yaml: robot is simulated or real, not {config['robot']!r}")
-if config["robot"] == "simulated" and not config.get("world"):
-    raise WorkflowError("config.yaml: the simulated robot needs a world: the folder of a site, as `hrt synth` makes one")
-
-ROUNDS = range(1, int(config["rounds"]) + 1)
-LEGS = [f"round-{r}/leg-{l}" for r in ROUNDS for l in range(1, int(config["legs"]) + 1)]
-BUDGET, UNIT = re.fullmatch(r"([0-9.]+)(.*)", str(config["round_budget"])).groups()
-WORLD = config.get("world") or ""
-WORLD_FILES = [
-    f"{WORLD}/{name}"
-    for name in ("ortho.tif", "ortho.vrt", "dsm.tif", "truth.tif", "classes.tif", "world.json")
-    if WORLD and Path(WORLD, name).is_file()
-]
-PLANNER = f"--method {config['method']} --speed {config['speed_m_s']} --seed {config['seed']}"
-
-
-def is_driven(leg):
-    """Whether a real robot drove the leg: then its log has no provenance."""
-    log = Path(leg, "drive.jsonl")
-    return log.is_file() and b'"provenance"' not in log.read_bytes()
-
-
-DRIVEN = [leg for leg in LEGS if is_driven(leg)]
-# What is no output of any rule is never replaced.
-KEPT = [leg for leg in LEGS if Path(leg, "drive.jsonl").is_file()] if config["robot"] == "real" else DRIVEN
-
-
-def any_of(legs):
-    """The wildcard constraint that only these legs meet."""
-    return "|".join(map(re.escape, legs)) or "(?!)"
-
-
-def number(leg):
-    """Round and leg as numbers."""
-    return tuple(map(int, re.findall("[0-9]+", leg)))
-
-
-def before(leg):
-    """The logs of the legs before, in order."""
-    return [f"{each}/drive.jsonl" for each in LEGS[: LEGS.index(leg)]]
-
-
-def so_far(leg):
-    """Those and its own."""
-    return [*before(leg), f"{leg}/drive.jsonl"]
-
-
-def learnt(leg):
-    """The scores that the leg before left, or what was known at the start."""
-    return [log.replace("drive.jsonl", "scores.json") for log in before(leg)[-1:]] or SCORES
-
-
-def of_round(number_of_round):
-    """The logs of a round."""
-    return [f"{leg}/drive.jsonl" for leg in LEGS if number(leg)[0] == int(number_of_round)]
-
-
-def contents(logs):
-    """Checksums of the real robot's drives: one copied with its time may be older than what it replaces."""
-    return [zlib.crc32(Path(log).read_bytes()) for log in logs if log.removesuffix("/drive.jsonl") in DRIVEN]
-
-
-def plan_args(leg):
-    """Where the robot stands, and the budget: cumulative, twice 5min after the second round."""
-    stands = [f"--visited {log}" for log in before(leg)] or [f"--start {config['start']}"]
-    return " ".join([*stands, f"--or-stay --budget {number(leg)[0] * float(BUDGET):g}{UNIT}", PLANNER])
+localrules:
+    rounds,
+    round_figure,
+    leg_feedback,
+    round_report,
 
 
 wildcard_constraints:
@@ -87,6 +19,7 @@ wildcard_constraints:
 
 
 rule rounds:
+    """Every leg of every round planned, driven and learnt from."""
     default_target: True
     input:
         expand("round-{round}/{name}", round=ROUNDS, name=("report.json", "plan.png")),
@@ -95,57 +28,96 @@ rule rounds:
 
 
 rule leg_scoremap:
+    """What is known when the leg is planned, as a map."""
     input:
         classes=f"{OUT}/classes.tif",
         scores=lambda wildcards: learnt(wildcards.leg),
-        layers=LIMITS + LAYERS,
+        layers=layers(config),
     output:
         "{leg}/scoremap.tif",
+    log:
+        f"{OUT}/logs/{{leg}}/scoremap.log",
+    benchmark:
+        f"{OUT}/benchmarks/{{leg}}/scoremap.tsv"
+    resources:
+        mem_mb=lambda wildcards, attempt: 1000 * attempt,
+        runtime=lambda wildcards, attempt: 30 * attempt,
     params:
-        cells=CELLS,
+        cells=cell_args(config),
         scores=lambda wildcards: " ".join(f"--scores {path}" for path in learnt(wildcards.leg)),
     shell:
-        "hrt scoremap {input.classes} -o {output} {params.cells} {params.scores} --overwrite -q"
+        "hrt scoremap {input.classes} -o {output} {params.cells} {params.scores} --overwrite -q 2>&1 | tee {log}"
 
 
 rule leg_plan:
+    """A path for the budget that is left, from where the robot stands."""
     input:
         scoremap="{leg}/scoremap.tif",
         logs=lambda wildcards: before(wildcards.leg),
+        policies=POLICIES,
     output:
         "{leg}/plan.json",
+    log:
+        f"{OUT}/logs/{{leg}}/plan.log",
+    benchmark:
+        f"{OUT}/benchmarks/{{leg}}/plan.tsv"
+    resources:
+        mem_mb=lambda wildcards, attempt: 1000 * attempt,
+        runtime=lambda wildcards, attempt: 60 * attempt,
     params:
-        plan=lambda wildcards: plan_args(wildcards.leg),
+        plan=lambda wildcards: leg_plan_args(wildcards.leg),
         contents=lambda wildcards: contents(before(wildcards.leg)),
     shell:
-        "hrt plan {input.scoremap} -o {output} {params.plan} --overwrite"
+        "hrt plan {input.scoremap} -o {output} {params.plan} --overwrite 2>&1 | tee {log}"
 
 
 # The first plan of a round is drawn by the command that made it, which finds it up to date.
 rule round_figure:
+    """The first plan of a round over the orthomosaic."""
     input:
         scoremap="round-{round}/leg-1/scoremap.tif",
         plan="round-{round}/leg-1/plan.json",
         ortho=config["ortho"],
     output:
-        "round-{round}/plan.png",
+        report(
+            "round-{round}/plan.png",
+            caption="report/round.rst",
+            category="Rounds",
+            labels={"round": "{round}", "shows": "first plan"},
+        ),
+    log:
+        f"{OUT}/logs/round-{{round}}/figure.log",
+    benchmark:
+        f"{OUT}/benchmarks/round-{{round}}/figure.tsv"
+    resources:
+        mem_mb=1000,
+        runtime=10,
     params:
-        plan=lambda wildcards: plan_args(f"round-{wildcards.round}/leg-1"),
+        plan=lambda wildcards: leg_plan_args(f"round-{wildcards.round}/leg-1"),
     shell:
         "hrt plan {input.scoremap} -o {input.plan} {params.plan} --figure {output} --backdrop {input.ortho} --overwrite"
+        " 2>&1 | tee {log}"
 
 
 if config["robot"] == "simulated":
 
     rule leg_drive:
+        """The drive of the simulated robot."""
         input:
             plan="{leg}/plan.json",
             after=lambda wildcards: before(wildcards.leg)[-1:],
             world=WORLD_FILES,
         output:
             "{leg}/drive.jsonl",
+        log:
+            f"{OUT}/logs/{{leg}}/drive.log",
+        benchmark:
+            f"{OUT}/benchmarks/{{leg}}/drive.tsv"
         wildcard_constraints:
             leg=any_of([leg for leg in LEGS if leg not in KEPT]),
+        resources:
+            mem_mb=lambda wildcards, attempt: 1000 * attempt,
+            runtime=lambda wildcards, attempt: 60 * attempt,
         params:
             world=WORLD,
             local=config["local"],
@@ -154,54 +126,87 @@ if config["robot"] == "simulated":
             contents=lambda wildcards: contents(before(wildcards.leg)[-1:]),
         shell:
             "hrt drive {input.plan} --world {params.world} {params.after} -o {output} --local {params.local}"
-            " --seed {params.seed} --overwrite"
+            " --seed {params.seed} --overwrite 2>&1 | tee {log}"
 
 else:
 
+    localrules:
+        leg_drive,
+
     rule leg_drive:
+        """The place where the real robot's drive is put: nothing is made here unless the plan is to stay."""
         input:
             plan="{leg}/plan.json",
             after=lambda wildcards: before(wildcards.leg)[-1:],
         output:
             "{leg}/drive.jsonl",
+        log:
+            f"{OUT}/logs/{{leg}}/drive.log",
+        benchmark:
+            f"{OUT}/benchmarks/{{leg}}/drive.tsv"
         wildcard_constraints:
             leg=any_of([leg for leg in LEGS if leg not in KEPT]),
+        resources:
+            mem_mb=500,
+            runtime=10,
         params:
             after=lambda wildcards: " ".join(f"--after {log}" for log in before(wildcards.leg)[-1:]),
         shell:
             """
             if grep -q '"method": "stay"' {input.plan}; then
-              hrt drive {input.plan} --stay {params.after} -o {output}
+                hrt drive {input.plan} --stay {params.after} -o {output} 2>&1 | tee {log}
             else
-              echo 'Error: {output}: no such log: let the robot drive {input.plan}, put its log there and run again' >&2
-              exit 1
+                echo 'Error: {output}: no such log: let the robot drive {input.plan}, put its log there and run again' \
+                    | tee {log} >&2
+                exit 1
             fi
             """
 
 
 rule leg_feedback:
+    """What all drives so far teach about the classes."""
     input:
         classes=f"{OUT}/classes.tif",
-        scores=SCORES,
+        scores=words(config.get("scores")),
         logs=lambda wildcards: so_far(wildcards.leg),
     output:
         "{leg}/scores.json",
+    log:
+        f"{OUT}/logs/{{leg}}/feedback.log",
+    benchmark:
+        f"{OUT}/benchmarks/{{leg}}/feedback.tsv"
+    resources:
+        mem_mb=1000,
+        runtime=10,
     params:
-        scores=option("--scores", "scores"),
+        scores=option(config, "--scores", "scores"),
         contents=lambda wildcards: contents(so_far(wildcards.leg)),
     shell:
-        "hrt feedback {input.logs} --classes {input.classes} {params.scores} -o {output} --overwrite -q"
+        "hrt feedback {input.logs} --classes {input.classes} {params.scores} -o {output} --overwrite -q 2>&1 | tee {log}"
 
 
-rule report:
+rule round_report:
+    """How far and how safely the robot went in a round, and what it collected."""
     input:
         logs=lambda wildcards: of_round(wildcards.round),
         scoremap=f"round-{{round}}/leg-{config['legs']}/scoremap.tif",
         world=WORLD_FILES,
     output:
-        "round-{round}/report.json",
+        report(
+            "round-{round}/report.json",
+            caption="report/round.rst",
+            category="Rounds",
+            labels={"round": "{round}", "shows": "drives"},
+        ),
+    log:
+        f"{OUT}/logs/round-{{round}}/report.log",
+    benchmark:
+        f"{OUT}/benchmarks/round-{{round}}/report.tsv"
+    resources:
+        mem_mb=1000,
+        runtime=10,
     params:
         world=f"--world {WORLD}" if WORLD else "",
         contents=lambda wildcards: contents(of_round(wildcards.round)),
     shell:
-        "hrt evaluate drive {input.logs} {params.world} --scoremap {input.scoremap} --json -q > {output}"
+        "hrt evaluate drive {input.logs} {params.world} --scoremap {input.scoremap} --json -q > {output} 2> {log}"

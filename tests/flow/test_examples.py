@@ -14,7 +14,7 @@ import pytest
 from hrt_cli.main import COMMANDS, cli
 
 ENV = {**os.environ, "PATH": f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"}
-KINDS = ("segment", "plan", "drive", "steer")
+KINDS = ("segment", "plan", "runs", "drive", "steer")
 NAMES = ["", *COMMANDS, *(f"evaluate {kind}" for kind in KINDS)]
 
 pytestmark = pytest.mark.slow

@@ -240,7 +240,7 @@ def test_keys_that_make_no_sense(project: Project, args: list[str], told: str) -
 @pytest.mark.skipif(SNAKEMAKE is None, reason="snakemake is not installed")
 def test_snakemake(project: Project) -> None:
     made = {name: content for name, content in project.artifacts().items() if not name.startswith("round-2")}
-    for name in ("round-1", "round-2", "out"):
+    for name in ("round-1", "round-2"):
         shutil.rmtree(project.folder / name)
     command = ("snakemake", "-s", "rounds.smk", "--cores", "2", "--config", "rounds=1")
     project.run(*command)
