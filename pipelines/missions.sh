@@ -44,3 +44,4 @@ reef() {
 }
 
 "$mission"
+hrt report "$out" -o "$out/report.html"

@@ -8,6 +8,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import browser
 import pytest
 
 ROOT = Path(__file__).parents[2]
@@ -25,6 +26,9 @@ def figures_of(mission: str, folder: Path, scoremap: str = "scoremap.tif") -> di
     done = subprocess.run(command, env=env, cwd=out, check=True, capture_output=True, text=True)
     assert (out / "mission.plan").exists()
     assert (out / "drive.png").exists()
+    if browser.is_wanted():
+        browser.check_report(out / "report.html")
+    assert (out / "report.html").stat().st_size < 8_000_000
     return json.loads(done.stdout)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -48,7 +49,22 @@ MOST_FILES = 5000
 _RASTERS = {".tif", ".tiff", ".vrt"}
 _MISSIONS = {".plan", ".waypoints", ".bhv"}
 _LOGS = {".csv", ".gpx", ".bin", ".bag", ".mcap"}
-_BESIDE = {".qml", ".xml", ".ovr", ".msk", ".tfw", ".prj", ".md", ".txt", ".yaml", ".mk", ".smk", ".log", ".pgm"}
+_BESIDE = {
+    ".qml",
+    ".xml",
+    ".ovr",
+    ".msk",
+    ".tfw",
+    ".prj",
+    ".md",
+    ".rst",
+    ".txt",
+    ".yaml",
+    ".mk",
+    ".smk",
+    ".log",
+    ".pgm",
+}
 _PAGES = {".html", ".htm"}
 _FORMATS: dict[str, Kind] = {
     "hrt-plan": "plan",
@@ -156,10 +172,23 @@ def collect(paths: Sequence[Path]) -> Folder:
             named.setdefault(each, prefix + (each.name if path.is_file() else each.relative_to(path).as_posix()))
         if len(named) > MOST_FILES:
             raise InputError(path, f"holds more than the {MOST_FILES} files that are looked at", "name a folder in it")
-    items = [_told(path, name) for path, name in sorted(named.items(), key=lambda pair: natural(pair[1]))]
+    distinct = _distinct(named)
+    items = [_told(path, name) for path, name in sorted(distinct.items(), key=lambda pair: natural(pair[1]))]
     unknown = [item.name for item in items if item.kind == "unknown" and not item.problem]
     notes = [f"{len(unknown)} files of other kinds are not shown: {_some(unknown)}"] if unknown else []
     return Folder([item for item in items if item.name not in unknown], notes)
+
+
+def _distinct(named: dict[Path, str]) -> dict[Path, str]:
+    """Return names of which no two are the same: those that are get the folders before them, as many as it takes."""
+    names, depth = dict(named), 1
+    while twice := {name for name, count in Counter(names.values()).items() if count > 1}:
+        depth += 1
+        for path, name in names.items():
+            if name in twice:
+                above = path.resolve().parts[: -len(Path(named[path]).parts)]
+                names[path] = Path(*above[1:][-(depth - 1) :], named[path]).as_posix()
+    return names
 
 
 def _walk(folder: Path) -> Iterator[Path]:

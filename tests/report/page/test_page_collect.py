@@ -106,6 +106,20 @@ def test_several_paths_and_one_that_is_not_there(tmp_path: Path) -> None:
         collect([tmp_path / "nothing"])
 
 
+def test_files_of_one_name_are_told_apart_by_their_folders(tmp_path: Path) -> None:
+    paths = []
+    for folder in ("a/seed-0", "a/seed-1", "b/seed-0"):
+        (tmp_path / folder).mkdir(parents=True)
+        paths.append(made(tmp_path / folder / "plan.json", folder, {}))
+    single = made(tmp_path / "scores.json", "one", {})
+    names = [item.name for item in collect([*paths, single]).items]
+    assert sorted(names) == ["a/seed-0/plan.json", "a/seed-1/plan.json", "b/seed-0/plan.json", "scores.json"] or sorted(
+        names
+    ) == ["a/seed-0/plan.json", "b/seed-0/plan.json", "scores.json", "seed-1/plan.json"]
+    folders = [tmp_path / "a" / "seed-0", tmp_path / "b" / "seed-0"]
+    assert sorted(item.name for item in collect(folders).items) == ["a/seed-0/plan.json", "b/seed-0/plan.json"]
+
+
 def test_numbers_in_names_are_sorted_as_numbers() -> None:
     names = ["round-10/leg-1", "round-2/leg-10", "round-2/leg-9", "a", "round-2"]
     assert sorted(names, key=natural) == ["a", "round-2", "round-2/leg-9", "round-2/leg-10", "round-10/leg-1"]
