@@ -48,7 +48,7 @@ def asked(words: str, folder: Path, shell: str = "bash", **env: str) -> list[str
         ("hrt ", list(COMMANDS)),
         ("hrt seg", ["segment"]),
         ("hrt --show", ["--show-versions"]),
-        ("hrt evaluate ", ["segment", "plan", "drive", "steer"]),
+        ("hrt evaluate ", ["segment", "plan", "runs", "drive", "steer"]),
         ("hrt evaluate st", ["steer"]),
         ("hrt segment --ro", ["--rotation"]),
         ("hrt segment --rotation ", ["invariant", "aware", "sorted"]),

@@ -62,7 +62,7 @@ def test_commands_stand_by_their_stage_and_the_others_after() -> None:
 
 def test_the_kinds_of_evaluate() -> None:
     context = click.Context(evaluate)
-    assert evaluate.list_commands(context) == list(KINDS) == ["segment", "plan", "drive", "steer"]
+    assert evaluate.list_commands(context) == list(KINDS) == ["segment", "plan", "runs", "drive", "steer"]
     for name in KINDS:
         command = evaluate.get_command(context, name)
         assert command.name == name
