@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import os
 import textwrap
 from collections.abc import Mapping
@@ -13,13 +12,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hrt_cli.artifacts.plan import team_members
-from hrt_cli.artifacts.png import png_provenance, publish_png
-from hrt_cli.artifacts.provenance import Provenance
-from hrt_cli.artifacts.stage import Existing, begin
+from hrt_cli.artifacts.stage import Existing
 from hrt_cli.errors import ArgumentError
 from hrt_cli.evaluation.compare.kinds import kind_of
 from hrt_cli.logs.kinds import files_of
 from hrt_cli.report.figures import comparison_maps as maps
+from hrt_cli.report.figures.canvas import Drawing, begin_drawing
+from hrt_cli.report.figures.palette import BLUE, BOUND, GRID, INK, ORANGE, SOFT
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -30,7 +29,7 @@ if TYPE_CHECKING:
 
 STAGE_VERSION = 1
 _OF_A, _OF_B = maps.OF_A, maps.OF_B
-_BEYOND, _WITHIN = "#d55e00", "#0072b2"
+_BEYOND, _WITHIN = ORANGE, BLUE
 _MOST_ROWS = 30
 _ROW_INCHES = 0.27
 _MAX_NAME = 46
@@ -39,29 +38,17 @@ _CAPTION_CHARS = 130
 
 @dataclass(frozen=True)
 class ComparisonFigure:
-    """A figure that may be written, decided before the comparison that fills it.
-
-    Attributes
-    ----------
-    up_to_date : bool
-        Whether the figure is there already; `draw` then leaves it.
-    """
+    """A figure that may be written, decided before the comparison that fills it."""
 
     a: Path
     b: Path
     scoremap: Path | None
-    output: Path
-    provenance: Provenance
-    up_to_date: bool
+    drawing: Drawing
 
     def draw(self, found: Comparison) -> None:
-        """Draw what was found."""
-        if self.up_to_date:
-            return
-        figure = _figure(self.a, self.b, self.scoremap, found)
-        buffer = io.BytesIO()
-        figure.savefig(buffer, format="png", dpi=110, metadata={"Software": None})
-        publish_png(self.output, buffer.getvalue(), self.provenance)
+        """Draw what was found, unless that is there already."""
+        if not self.drawing.up_to_date:
+            self.drawing.publish(_figure(self.a, self.b, self.scoremap, found))
 
 
 def begin_comparison(
@@ -97,15 +84,15 @@ def begin_comparison(
     if scoremap is not None and kind not in ("plan", "team plan"):
         raise ArgumentError(f"--scoremap {scoremap}: plans are drawn on a scoremap, and {a} is none")
     inputs = _files("a", a, kind) | _files("b", b, kind_of(b)) | ({"scoremap": scoremap} if scoremap else {})
-    job = begin(
+    drawing = begin_drawing(
         "figure-compare",
         STAGE_VERSION,
         inputs=inputs,
         parameters={"tolerances": dict(sorted(tolerances.items()))},
-        outputs={output: png_provenance},
+        output=output,
         existing=existing,
     )
-    return ComparisonFigure(a, b, scoremap, output, job.provenance, job.up_to_date)
+    return ComparisonFigure(a, b, scoremap, drawing)
 
 
 def _files(role: str, path: Path, kind: str) -> dict[str, Path]:
@@ -145,7 +132,7 @@ def _rows(count: int, caption: str) -> tuple[Figure, Axes]:
     figure = Figure(figsize=(10.5, max(2.6, count * _ROW_INCHES + 1.5)), layout="constrained")
     figure.suptitle(caption, x=0.01, ha="left", fontsize=10, parse_math=False)
     axes = figure.add_subplot()
-    axes.grid(axis="x", color="#e4e4e4", lw=0.8)
+    axes.grid(axis="x", color=GRID, lw=0.8)
     axes.set_axisbelow(True)
     axes.spines[["top", "right"]].set_visible(False)
     axes.tick_params(labelsize=9)
@@ -160,7 +147,7 @@ def _draw_scores(per_class: list[dict[str, Any]], caption: str) -> Figure:
     for key, colour, move in (("a", _OF_A, -0.19), ("b", _OF_B, 0.19)):
         means = [each[key]["mean"] if each[key] else 0.0 for each in shown]
         sds = [each[key]["sd"] if each[key] else 0.0 for each in shown]
-        axes.barh(at + move, means, 0.36, xerr=sds, color=colour, ecolor="#333333", capsize=2, label=key.upper())
+        axes.barh(at + move, means, 0.36, xerr=sds, color=colour, ecolor=INK, capsize=2, label=key.upper())
         for place, each in zip(at, shown, strict=True):
             if each[key] is None:
                 axes.text(0.005, place + move, f"not in {key.upper()}", va="center_baseline", fontsize=8)
@@ -201,7 +188,7 @@ def _draw_figures(verdicts: list[Verdict], caption: str) -> Figure:
     shown = order[:_MOST_ROWS]
     figure, axes = _rows(max(1, len(shown)), caption)
     for row, each in enumerate(shown):
-        colour = {"DIFFERENT": _BEYOND, "ok": _WITHIN, "told": "#8c8c8c"}[each.state]
+        colour = {"DIFFERENT": _BEYOND, "ok": _WITHIN, "told": SOFT}[each.state]
         change = _change(each)
         axes.plot([0, change], [row, row], color=colour, lw=1.4)
         axes.plot(change, row, "os"[each.state == "DIFFERENT"], color=colour, ms=6)
@@ -209,11 +196,11 @@ def _draw_figures(verdicts: list[Verdict], caption: str) -> Figure:
         axes.text(1.01, row, told, transform=axes.get_yaxis_transform(), va="center_baseline", fontsize=8)
     if not shown:
         axes.text(0.5, 0.5, "no number differs", transform=axes.transAxes, ha="center", fontsize=10)
-    for state, colour, mark in (("DIFFERENT", _BEYOND, "s"), ("ok", _WITHIN, "o"), ("told", "#8c8c8c", "o")):
+    for state, colour, mark in (("DIFFERENT", _BEYOND, "s"), ("ok", _WITHIN, "o"), ("told", SOFT, "o")):
         if any(each.state == state for each in shown):
             words = {"DIFFERENT": "beyond its tolerance", "ok": "within its tolerance", "told": "does not count"}
             axes.plot([], [], mark, color=colour, label=words[state])
-    axes.axvline(0, color="#444444", lw=0.8)
+    axes.axvline(0, color=BOUND, lw=0.8)
     names = [each.figure.name for each in shown]
     short = [name if len(name) <= _MAX_NAME else f"…{name[-_MAX_NAME:]}" for name in names]
     axes.set_yticks(range(len(shown)), short, parse_math=False)

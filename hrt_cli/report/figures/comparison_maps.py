@@ -22,6 +22,7 @@ from hrt_cli.raster.scoremap import Scoremap, read_scoremap
 from hrt_cli.raster.style import NO_GO_COLOUR, SCORE_RAMP, class_colour, rgb_of
 from hrt_cli.raster.windows import Window
 from hrt_cli.report.figures.canvas import show_furniture
+from hrt_cli.report.figures.palette import BLUE, CANVAS, GREEN, GRID, ORANGE, PATH_EDGE, RIGHT, SOFT, VOID, WRONG
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -29,11 +30,11 @@ if TYPE_CHECKING:
 
     from hrt_cli.evaluation.compare.result import Verdict
 
-OF_A, OF_B = "#0072b2", "#d55e00"
-"""Colours of A and B: blue and vermilion of Okabe and Ito (2008)."""
+OF_A, OF_B = BLUE, ORANGE
+"""Colours of A and B."""
 PANEL_PX = 700
-_SAME, _CHANGED, _VOID = "#e2e2e2", "#c1272d", "#ffffff"
-_BECAME_NO_GO, _BECAME_GO = "#111111", "#009e73"
+_SAME, _CHANGED, _VOID = RIGHT, WRONG, VOID
+_BECAME_NO_GO, _BECAME_GO = PATH_EDGE, GREEN
 _PANEL_INCHES = 4.6
 _MAX_LABELLED = 16
 _MAX_NAME = 18
@@ -171,17 +172,17 @@ def _ways(
             axes.plot(*way[-1], "s", color=colour, ms=size, mec="white", mew=1.2, zorder=6)
             axes.plot(*way[0], "o", color=colour, ms=size, mec="white", mew=1.2, zorder=6)
             label = "_nolegend_"
-    axes.plot([], [], "o", color="#777777", ms=8, label="start")
-    axes.plot([], [], "s", color="#777777", ms=8, label="end")
+    axes.plot([], [], "o", color=SOFT, ms=8, label="start")
+    axes.plot([], [], "s", color=SOFT, ms=8, label="end")
     if behind is None:
         axes.set_xlim(low[0] - margin, high[0] + margin)
         axes.set_ylim(low[1] - margin, high[1] + margin)
     axes.set_aspect("equal")
-    axes.set_facecolor("#f4f4f4")
+    axes.set_facecolor(CANVAS)
     axes.tick_params(labelsize=9)
     axes.set_xlabel("east, m" if grid is None or grid.crs is not None else "x, m")
     axes.set_ylabel("north, m" if grid is None or grid.crs is not None else "y, m")
-    axes.grid(color="#dddddd", lw=0.6)
+    axes.grid(color=GRID, lw=0.6)
     axes.set_axisbelow(True)
     figure.legend(loc="outside lower center", ncols=4, fontsize=9, frameon=False)
     return figure

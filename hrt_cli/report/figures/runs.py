@@ -2,22 +2,21 @@
 
 from __future__ import annotations
 
-import io
 import os
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hrt_cli.artifacts.png import png_provenance, publish_png
-from hrt_cli.artifacts.stage import Existing, begin
+from hrt_cli.artifacts.stage import Existing
 from hrt_cli.evaluation.runs import Runs, Task
+from hrt_cli.report.figures.canvas import begin_drawing, plain
+from hrt_cli.report.figures.palette import ACCENT, BOUND, SERIES
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 STAGE_VERSION = 1
-_DOT, _MEAN = "#0072b2", "#d55e00"
 _ROW_INCHES = 0.32
 _MARGIN_INCHES = 1.3
 _MAX_INCHES = 60.0
@@ -49,20 +48,17 @@ def draw_runs(found: Runs, output: Path, *, existing: Existing) -> bool:
         A plan is gone; see `hrt_cli.artifacts.stage.begin`.
     """
     labels = [_label(task) for task in found.tasks]
-    job = begin(
+    drawing = begin_drawing(
         "figure-runs",
         STAGE_VERSION,
         inputs={f"plan/{index}": Path(name) for index, name in enumerate(found.plans)},
         parameters={"labels": list(labels)},
-        outputs={output: png_provenance},
+        output=output,
         existing=existing,
     )
-    if job.up_to_date:
-        return True
-    buffer = io.BytesIO()
-    _figure(found, labels).savefig(buffer, format="png", dpi=110, metadata={"Software": None})
-    publish_png(output, buffer.getvalue(), job.provenance)
-    return False
+    if not drawing.up_to_date:
+        drawing.publish(_figure(found, labels))
+    return drawing.up_to_date
 
 
 def _label(task: Task) -> str:
@@ -88,14 +84,13 @@ def _figure(found: Runs, labels: list[str]) -> Figure:
     rows = [_shares(found, task) for task in found.tasks]
     span = max(_LEAST_SPAN, 100 - min((share for shares in rows for share in shares), default=0.0))
     for row, shares in enumerate(rows):
-        axes.scatter(shares, [row] * len(shares), s=28, color=_DOT, alpha=0.7, lw=0, zorder=3)
+        axes.scatter(shares, [row] * len(shares), s=28, color=SERIES, alpha=0.7, lw=0, zorder=3)
         if shares:
-            axes.vlines(float(np.mean(shares)), row - 0.3, row + 0.3, color=_MEAN, lw=2, zorder=2)
+            axes.vlines(float(np.mean(shares)), row - 0.3, row + 0.3, color=ACCENT, lw=2, zorder=2)
     axes.set_yticks(range(len(labels)), labels)
     axes.set_ylim(len(labels) - 0.5, -0.5)
     axes.set_xlabel("share of the bound, %: a dot for each seed, a line for their mean")
     axes.set_xlim(100 - 1.05 * span, 100 + 0.05 * span)
-    axes.axvline(100, color="#444444", lw=1, ls="--", zorder=1)
-    axes.grid(axis="x", color="#dddddd", lw=0.6)
-    axes.set_axisbelow(True)
+    axes.axvline(100, color=BOUND, lw=1, ls="--", zorder=1)
+    plain(axes)
     return figure
