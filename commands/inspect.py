@@ -172,6 +172,9 @@ def _raster_lines(found: Inspection) -> list[str]:
         row_m, col_m = facts["pixel_m"]
         unit = "m on the ground" if facts["crs"] else "px (unreferenced)"
         lines += [f"  CRS        {facts['crs']}", f"  pixel      {col_m:.4g} x {row_m:.4g} {unit}"]
+        if facts["bounds_lonlat"] is not None:
+            west, south, east, north = facts["bounds_lonlat"]
+            lines.append(f"  lies       lon {west:.6f} to {east:.6f}, lat {south:.6f} to {north:.6f}")
     if "valid_share" in facts:
         lines.append(f"  valid      about {facts['valid_share']:.0%}")
     lines += [f"  note       {note}" for note in found.notes]

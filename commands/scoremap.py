@@ -222,7 +222,15 @@ def scoremap(
         ids = ", ".join(map(str, done.unknown))
         console.note(f"Note: {scores_path}: says nothing of class {ids}, which counts as unknown: 0.5")
     elif done.unknown:
-        console.note("Note: no --scores given: every class counts 0.5, so the map says only where the robot may go")
+        console.note(
+            "Note: no --scores given: every class counts 0.5, trees and walls too; no plan on this map is one to drive"
+        )
+    if done.strangers:
+        ids = ", ".join(map(str, done.strangers))
+        console.note(
+            f"Note: {scores_path}: has scores of class {ids}, which {classes} does not have: was it written for "
+            "another segmentation? Then its other numbers mean other ground as well"
+        )
     if done.interest_range is not None and interest_range is None:
         low, high = done.interest_range
         console.note(

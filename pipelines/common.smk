@@ -51,6 +51,13 @@ def read_sites(path):
     return sites
 
 
+def check_once(path):
+    """Refuse settings of which one stands there twice: YAML takes the last without a word."""
+    keys = re.findall(r"^([a-z_]+):", Path(path).read_text(encoding="utf-8"), re.MULTILINE)
+    if twice := [key for key in keys if keys.count(key) > 1]:
+        raise WorkflowError(f"{path}: {twice[0]}: stands there twice")
+
+
 def check_files(settings, where):
     """Refuse files that are not there: snakemake would leave what was made without them as if it were up to date."""
     lists = ("keep_out", "policy")
@@ -170,6 +177,7 @@ def labels(what, *, of_seed=False):
 
 # `--config aoi=` empties a key, as `aoi:` does.
 config.update({key: None for key, value in config.items() if value == ""})
+check_once("config.yaml")
 check(config, "config.schema.yaml", "config.yaml")
 
 OUT = config["out"]

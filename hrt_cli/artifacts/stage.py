@@ -78,7 +78,10 @@ def begin(
         return Job(provenance, up_to_date=True)
     for path, current in states.items():
         if not (current or existing.overwrite):
-            raise OutputError(f"{path}: exists and was not made by this run; use --overwrite to replace it")
+            raise OutputError(
+                f"{path}: exists and was not made by this run; use --overwrite to replace it (it was "
+                "made from other inputs or parameters, or by another program)"
+            )
     return Job(provenance, up_to_date=False)
 
 

@@ -51,6 +51,8 @@ class ScoremapSummary:
     unknown : list of int
         Classes that no score was given for: they have the prior's 0.5.
     seconds : float
+    strangers : list of int
+        Classes that a score was given for and that the class raster neither holds nor names.
     interest_range : (float, float) or None
         The values of the raster of interest that count 0 and 1, if there is one.
     interest_cells : int or None
@@ -77,6 +79,7 @@ class ScoremapSummary:
     mean_score: float
     unknown: list[int]
     seconds: float
+    strangers: list[int] = field(default_factory=list)
     interest_range: tuple[float, float] | None = None
     interest_cells: int | None = None
     interest_out_of_reach: int | None = None
@@ -140,6 +143,7 @@ def make_scoremap(
     )
     scores = read_scores(scores_path) if scores_path else {}
     unknown: list[int] = []
+    strangers: list[int] = []
     if job.up_to_date:
         scoremap = read_scoremap(output)
         placed = place_limits(limits, margin_m, scoremap.grid, classes_path)
@@ -147,6 +151,8 @@ def make_scoremap(
         with open_classes(classes_path) as classes:
             placed = place_limits(limits, margin_m, classes.grid.coarse(cell_m), classes_path)
             covered = cover(classes.grid, classes.read, cell_m, progress)
+            # A class that the raster names, but that does not occur in it, is no stranger.
+            strangers = [k for k in scores if k not in covered.classes and k >= len(classes.names)]
         table = _scores_for(covered, scores, classes_path, scores_path, unknown_as_prior)
         unknown = [k for k in covered.classes if k not in scores]
         scoremap, tags = _scored(classes_path, covered, table, cell_m, rule, placed, layers, progress)
@@ -162,6 +168,7 @@ def make_scoremap(
         float(scoremap.score[go].mean(dtype=np.float64)),
         unknown,
         time.monotonic() - began,
+        strangers=strangers,
         notes=[*layers.notes, *placed.notes, *relief_notes(layers, cell_m, told)],
         **told,
     )

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from hrt_cli.errors import HrtError, InputError
-from hrt_cli.inspection.rasters import Inspection, inspect_raster, inspect_rasters
+from hrt_cli.inspection.rasters import USES, Inspection, inspect_raster, inspect_rasters
 from hrt_cli.raster.files import rasters_in
 from hrt_cli.raster.grid import Grid, transform_points
 from hrt_cli.raster.mosaic import open_layer
@@ -136,7 +136,8 @@ def inspect_tiles(
     """
     seen = inspect_rasters(tiles, first=min(tiles, key=lambda path: path.name), bands=bands, nodata=nodata)
     size = sum(path.stat().st_size for path in tiles if path.is_file())
-    uses = [f"hrt segment {shlex.join(map(str, named))}"] if seen.facts["kind"] == "orthomosaic" else []
+    (use,) = USES["orthomosaic"]
+    uses = [use.replace("FILE", shlex.join(map(str, named)))] if seen.facts["kind"] == "orthomosaic" else []
     return replace(seen, facts={**seen.facts, "bytes": size, "tiles": len(tiles), "used_by": uses})
 
 
@@ -193,7 +194,7 @@ def _commands(folder: Path, found: list[Inspection]) -> list[str]:
     ortho, classes = _first(found, "orthomosaic"), _first(found, "class raster")
     commands, source = [], "classes.tif"
     if ortho is not None and ortho.refusal is None:
-        commands.append(f"hrt segment {_quoted(folder, ortho)} -o classes.tif --classes auto")
+        commands.append(f"hrt segment {_quoted(folder, ortho)} -o classes.tif --classes 5")
     elif classes is not None:
         source = _quoted(folder, classes)
     else:

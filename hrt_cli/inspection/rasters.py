@@ -13,7 +13,7 @@ import numpy as np
 from hrt_cli.errors import HrtError, InputError
 from hrt_cli.inspection.traps import traps
 from hrt_cli.raster.gate import Raster, open_raster
-from hrt_cli.raster.grid import Grid
+from hrt_cli.raster.grid import Grid, wrapped_deg
 from hrt_cli.raster.image import Image, open_orthomosaic
 from hrt_cli.raster.recognise import Sample, data_bands, hrt_stage, made_with, require_picture, take_sample, what_it_is
 
@@ -24,14 +24,14 @@ _BASE_MB = 290.0
 _MB_PER_WORKER = 90.0
 
 USES: dict[str, list[str]] = {
-    "orthomosaic": ["hrt segment FILE"],
+    "orthomosaic": ["hrt segment FILE -o classes.tif --classes 5"],
     "surface model": ["hrt scoremap --dsm FILE", "hrt feedback --dsm FILE", "hrt drive --world DIR, as dsm.tif"],
     "terrain model": ["hrt scoremap --dsm FILE", "hrt feedback --dsm FILE"],
     "thermal orthomosaic": ["hrt scoremap --interest FILE --thermal-units auto"],
     "index map": ["hrt scoremap --interest FILE"],
     "measured values": ["heights: hrt scoremap --dsm FILE", "temperatures: hrt scoremap --interest FILE"],
-    "class raster": ["hrt scoremap FILE"],
-    "scoremap": ["hrt plan FILE"],
+    "class raster": ["hrt scoremap FILE -o scoremap.tif"],
+    "scoremap": ["hrt plan FILE -o plan.json --start auto --budget 400m"],
     "unknown": [],
 }
 """What takes a raster, by its kind."""
@@ -174,9 +174,20 @@ def _place(grid: Grid) -> dict[str, Any]:
         "crs": grid.crs_text(),
         "pixel_m": [row_m, col_m],
         "extent_m": [row_m * grid.rows, col_m * grid.cols],
+        "bounds_lonlat": _bounds(grid),
         "scale_variation": grid.ground.variation,
         "placeholder_georeference": grid.placeholder_georeference,
     }
+
+
+def _bounds(grid: Grid) -> list[float] | None:
+    """Return west, south, east and north in degrees; None where it has no place on the Earth."""
+    if grid.crs is None or grid.placeholder_georeference:
+        return None
+    lon, lat = grid.lonlat(*grid.xy([0, 0, grid.rows, grid.rows], [0, grid.cols, 0, grid.cols]))
+    middle = lon[0]
+    lon = middle + wrapped_deg(lon - middle)
+    return [round(float(each), 7) for each in (lon.min(), lat.min(), lon.max(), lat.max())]
 
 
 def _image(image: Image) -> dict[str, Any]:

@@ -205,7 +205,7 @@ class Mission:
             f"{len(self.stops)} waypoints",
             f"{self.speed_m_s:g} m/s",
             f"{self.time_s:.0f} s",
-            f"score {plan.score:.6g} of at most {plan.upper_bound:.6g}",
+            f"score of the plan {plan.score:.6g} of at most {plan.upper_bound:.6g}",
             f"method {printable(plan.method)}",
         ]
         if self.options.tolerance_m:

@@ -190,7 +190,8 @@ def _notes(target: Format, missions: Sequence[Mission]) -> list[str]:
     if target.stored and missions[0].options.firmware == "ardupilot" and shortest_m < _WP_RADIUS_M:
         notes.append(
             f"waypoints are as little as {shortest_m:.2g} m apart: set WP_RADIUS (by default {_WP_RADIUS_M:g} m) below"
-            " that, or the robot cuts corners; --tolerance makes fewer and longer legs"
+            " that, or the robot cuts corners; "
+            f"{'a larger' if missions[0].options.tolerance_m else 'a'} --tolerance makes fewer and longer legs"
         )
     missed = sum(len(mission.missed) for mission in missions)
     if missed:

@@ -149,7 +149,10 @@ class Problem:
         if not (0 <= row < rows and 0 <= col < cols):
             raise ArgumentError(f"{name} cell {row},{col} is outside the map of {rows} x {cols} cells")
         if np.isnan(self.score[row, col]):
-            raise ArgumentError(f"{name} cell {row},{col} is a no-go cell (its score is nan)")
+            open_cells = np.argwhere(~np.isnan(self.score))
+            near = open_cells[np.hypot(*(open_cells - (row, col)).T).argmin()] if len(open_cells) else None
+            remedy = "" if near is None else f"; the nearest that may be entered is cell:{near[0]},{near[1]}"
+            raise ArgumentError(f"{name} cell {row},{col} is a no-go cell{remedy}")
 
     def _can_enter(self, row: int, col: int) -> bool:
         rows, cols = self.score.shape

@@ -293,6 +293,22 @@ def run(*words: object) -> Result:
 
 
 class TestCommand:
+    def test_scores_of_classes_that_are_not_there_are_told(self, tmp_path: Path) -> None:
+        site = Site(tmp_path)
+        done = run(site.classes, "-o", tmp_path / "s.tif", "--scores", site.scores)
+        assert "which" not in done.stderr
+        table = json.loads(site.scores.read_text())
+        table["scores"] |= {"2": {"mean": 0.7}, "9": {"mean": 0.0}}
+        site.scores.write_text(json.dumps(table))
+        done = run(site.classes, "-o", tmp_path / "s.tif", "--scores", site.scores, "--overwrite")
+        assert "has scores of class 2, 9, which" in done.stderr
+        # A class that the raster names is none of those, though no pixel of a crop may hold it.
+        names = len(json.loads((WILDFIRE / "world.json").read_text())["classes"])
+        every = {str(k): 0.5 for k in range(names + 1)}
+        site.scores.write_text(json.dumps({"scores": every}))
+        done = run(WILDFIRE / "truth.tif", "-o", tmp_path / "t.tif", "--scores", site.scores)
+        assert f"has scores of class {names}, which" in done.stderr
+
     def test_json_keys_and_notes(self, tmp_path: Path) -> None:
         words = (WILDFIRE / "truth.tif", "-o", tmp_path / "s.tif", "--dsm", WILDFIRE / "dsm.tif", "--json")
         heat = ("--interest", WILDFIRE / "thermal.tif", "--interest-range", "45,90", "--interest-radius", 2)

@@ -141,6 +141,18 @@ def test_make_refuses_a_key_that_it_does_not_know(project: Path) -> None:
 
 
 @pytest.mark.skipif(shutil.which("make") is None, reason="make is not installed")
+def test_make_refuses_a_key_that_stands_there_twice_and_a_file_that_does_not(project: Path) -> None:
+    config = project / "config.yaml"
+    before = config.read_text()
+    assert "config.yaml: no such file: ortho.tif" in told(project, "make")
+    (project / "ortho.tif").touch()
+    assert "config.yaml: no such file: s.json" in told(
+        project, "make", "scores=s.json", "out/scoremap.tif", "-o", "out/classes.tif"
+    )
+    config.write_text(before + "budget: 5\n")
+    assert "config.yaml: budget: stands there twice" in told(project, "make", "-n")
+
+
 def test_make_plans_with_a_model_and_a_policy_that_it_is_given(project: Path) -> None:
     for name in ("ortho.tif", "m.npz", "p.npz"):
         (project / name).touch()
@@ -162,6 +174,7 @@ def test_make_plans_with_a_model_and_a_policy_that_it_is_given(project: Path) ->
 @pytest.mark.parametrize(
     ("change", "table", "expected"),
     [
+        ("budget: 5\nbudget: 6", None, "config.yaml: budget: stands there twice"),
         ("explor: 0", None, "config.yaml: Additional properties are not allowed ('explor' was unexpected)"),
         ("sites: sites.tsv", "site\tvehicle\na\tcar\n", "sites.tsv: site 'a': vehicle: 'car' is not one of"),
         ("sites: sites.tsv", "site\tstart\na\n", "sites.tsv: site 'a': more or fewer cells than the table has columns"),

@@ -15,6 +15,7 @@ from affine import Affine
 from click.testing import CliRunner
 from mapping_files import heights, metashape_tiles, model, odm, odm_project, pix4d_project, tag
 from raster_files import PLACE, patches, write_raster
+from rasterio.warp import transform_bounds
 
 from hrt_cli import main as shell
 from hrt_cli.errors import HrtError, InputError
@@ -53,8 +54,11 @@ class TestOneRaster:
         assert found["made_with"] == "OpenDroneMap 3.5.4"
         assert (found["made_with_by"], found["software"], found["made_by"]) == ("tag", "ODM 3.5.4", None)
         assert (found["kind"], found["kind_certainty"]) == ("orthomosaic", "likely")
-        assert found["used_by"] == [f"hrt segment '{path}'"]
+        assert found["used_by"] == [f"hrt segment '{path}' -o classes.tif --classes 5"]
         assert (found["usable"], found["refusal"], found["values"]) == (True, None, None)
+        with rasterio.open(path) as raster:
+            bounds = transform_bounds(raster.crs, "EPSG:4326", *raster.bounds)
+        assert found["bounds_lonlat"] == pytest.approx(bounds, abs=2e-7)
 
     def test_heights_are_described_and_segment_would_refuse_them(self, tmp_path: Path) -> None:
         path = model(tmp_path / "dsm.tif")
@@ -103,7 +107,7 @@ class TestSeveralFiles:
         assert (found["tiles"], found["rows"], found["cols"]) == (4, 192, 192)
         assert found["bytes"] == sum(tile.stat().st_size for tile in tiles)
         assert found["made_with"] == "Agisoft Metashape Professional 2.1.0"
-        assert found["used_by"] == ["hrt segment " + shlex.join(map(str, tiles))]
+        assert found["used_by"] == ["hrt segment " + shlex.join(map(str, tiles)) + " -o classes.tif --classes 5"]
 
     def test_what_does_not_go_together_would_be_refused(self, tmp_path: Path) -> None:
         found = inspect(odm(tmp_path / "a.tif"), model(tmp_path / "dsm.tif"))
@@ -134,7 +138,7 @@ class TestFolders:
         ortho = shlex.quote(str(folder / "odm_orthophoto" / "odm_orthophoto.tif"))
         dsm = shlex.quote(str(folder / "odm_dem" / "dsm.tif"))
         assert found["commands"] == [
-            f"hrt segment {ortho} -o classes.tif --classes auto",
+            f"hrt segment {ortho} -o classes.tif --classes 5",
             f"hrt scoremap classes.tif -o scoremap.tif --dsm {dsm}",
             "hrt plan scoremap.tif -o plan.json --start auto --budget 400m",
             "hrt export plan.json -o mission.plan",
@@ -171,7 +175,7 @@ class TestFolders:
         found = inspect(metashape_tiles(tmp_path / "blocks", 3))
         (one,) = found["found"]
         assert (one["path"], one["tiles"], one["rows"], one["kind"]) == (".", 9, 192, "orthomosaic")
-        assert found["commands"][0] == f"hrt segment {tmp_path / 'blocks'} -o classes.tif --classes auto"
+        assert found["commands"][0] == f"hrt segment {tmp_path / 'blocks'} -o classes.tif --classes 5"
 
     def test_orthomosaics_that_are_no_tiles_say_why(self, tmp_path: Path) -> None:
         odm(tmp_path / "a.tif")

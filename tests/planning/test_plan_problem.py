@@ -32,8 +32,10 @@ def test_start_outside_the_map_is_named(start, message):
 
 def test_start_on_a_no_go_cell_is_named():
     score = FLAT.copy()
-    score[2, 3] = np.nan
-    with pytest.raises(ArgumentError, match="start cell 2,3 is a no-go cell"):
+    score[1:4, 2:5] = np.nan
+    score[2, 1] = np.nan
+    # Of the cells two steps away only 0,3 and 4,3 are open; the first of equals is named.
+    with pytest.raises(ArgumentError, match=r"start cell 2,3 is a no-go cell; .* is cell:0,3$"):
         Problem(score, (2, 3), Budget(5.0))
 
 

@@ -246,5 +246,9 @@ def _facts(page: Page) -> list[dict[str, str]]:
             tell("score collected", f"{last['score_collected']:.1f}", f"on the way, {last['name']}")
         clearances = [each["min_clearance_m"] for each in going if each["min_clearance_m"] is not None]
         if clearances:
-            tell("least clearance", f"{min(clearances):.2f} m", f"to an obstacle, {which}")
+            tell(
+                "least clearance",
+                f"{min(clearances):.2f} m",
+                f"from the robot's rim to an obstacle, by the places logged, {which}",
+            )
     return facts

@@ -236,7 +236,13 @@ def _scores(site: SiteMap, item: Item, detail: int, *, last: bool) -> None:
 
 
 def _area(site: SiteMap, item: Item, detail: int, *, last: bool) -> None:
-    about = {"title": item.name, "group": "areas", "shown": False, "opacity": 1.0}
+    used = {
+        record.sha256
+        for other in site.items
+        if other.kind == "scoremap" and other.provenance is not None
+        for record in other.provenance.inputs
+    }
+    about = {"title": item.name, "group": "areas", "shown": item.sha256 in used, "opacity": 1.0}
     site.layers.append(layers.area_layer(item.path, site.frame, **about))
 
 

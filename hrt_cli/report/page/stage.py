@@ -137,8 +137,9 @@ def render(page: Page) -> str:
 
 
 def _title(path: Path) -> str:
-    """Name a page after a folder, whose name may be `.`."""
-    return path.resolve().name or "report"
+    """Name a page after a folder, whose name may be `.`, or after that of a file."""
+    whole = path.resolve()
+    return (whole.parent if whole.is_file() else whole).name or "report"
 
 
 def _why_not(folder: Folder) -> str:
