@@ -219,4 +219,4 @@ def test_the_command_tells_areas_boundaries_and_each_truth(tmp_path: Path) -> No
     refused = hrt(first, second, "--tolerance-m", "1e6")
     assert refused.returncode == 1
     assert refused.stderr.startswith("Error: --tolerance-m")
-    assert hrt(first, second, "--figure", first).returncode == 1
+    assert hrt(first, second, "--figure", first).returncode == 2
