@@ -11,7 +11,7 @@ from affine import Affine
 from numpy.typing import NDArray
 
 from hrt_cli.errors import HrtError, InputError
-from hrt_cli.raster.align import field_on, warp_onto
+from hrt_cli.raster.align import real_values, warp_onto
 from hrt_cli.raster.aoi import read_aoi
 from hrt_cli.raster.classes import NODATA, open_classes
 from hrt_cli.raster.gate import Raster, open_raster, says_where
@@ -27,6 +27,8 @@ from hrt_cli.report.page.frame import Frame
 from hrt_cli.report.page.pictures import levels, packed, webp
 
 _WEBP_QUALITY = 78
+_STRIP_PX = 4_000_000
+"""Pixels that are read at once."""
 _BENT_PX = 0.25
 """Layers whose place an affine transform misses by more pixels than this are resampled."""
 _VALUES = tuple((k / (len(VALUE_RAMP) - 1), colour) for k, colour in enumerate(VALUE_RAMP))
@@ -179,11 +181,31 @@ def value_data(pixels: Pixels, frame: Frame, span: tuple[float, float], ramp: Ra
 
 
 def _averaged(raster: Raster, most: int, void: tuple[float, ...] = ()) -> Pixels:
-    """Return the first band, each pixel the mean of those that it stands for."""
+    """Return the first band thinned out, each pixel the mean of what is known of its square; read strip by strip."""
     step, grid = thinned(raster.grid, most)
+    rows, cols = raster.grid.shape
+    tall = step * max(1, _STRIP_PX // (step * cols))
+    strips = []
+    for top in range(0, rows, tall):
+        values = real_values(raster, Window(top, 0, min(tall, rows - top), cols))
+        for empty in void:
+            values[values == np.float32(empty)] = np.nan
+        strips.append(_means(values, step))
+    return Pixels(np.concatenate(strips), grid)
+
+
+def _means(values: NDArray[np.float32], step: int) -> NDArray[np.float32]:
+    """Return the mean of each square of `step` pixels, at the edge of the rest of one; NaN where nothing is known."""
     if step == 1:
-        grid = raster.grid
-    return Pixels(field_on(raster, grid, "average" if step > 1 else "nearest", void=void), grid)
+        return values
+    rows, cols = (-(-side // step) for side in values.shape)
+    whole = np.full((rows * step, cols * step), np.nan, np.float32)
+    whole[: values.shape[0], : values.shape[1]] = values
+    squares = whole.reshape(rows, step, cols, step)
+    known = np.isfinite(squares)
+    count = known.sum(axis=(1, 3))
+    total = np.where(known, squares, 0).sum(axis=(1, 3), dtype=np.float64)
+    return np.where(count > 0, total / np.maximum(count, 1), np.nan).astype(np.float32)
 
 
 def _span(values: NDArray[np.floating[Any]]) -> tuple[float, float]:

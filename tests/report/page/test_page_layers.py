@@ -159,6 +159,24 @@ def test_a_picture_is_thinned_and_what_is_not_valid_is_clear(tmp_path: Path) -> 
     assert (rgba[:, 15:, 3] == 255).all()
 
 
+def test_what_is_thinned_out_is_the_mean_of_what_is_known(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("hrt_cli.report.page.layers._STRIP_PX", 300)  # several strips
+    grid = grid_of(70, 51)
+    height = np.random.default_rng(5).uniform(100, 200, grid.shape).astype(np.float32)
+    height[10:25, 5:20] = -9999  # a void that nothing declares
+    write_raster(tmp_path / "dsm.tif", height[None], transform=grid.transform, crs="EPSG:32632")
+    layer = relief_layer(tmp_path / "dsm.tif", frame_of(grid), 16)
+    assert (layer["rows"], layer["cols"]) == (14, 11)
+    found = readback(layer)
+    for row, col in ((0, 0), (13, 10), (3, 2), (4, 1), (5, 9)):
+        square = height[5 * row : 5 * row + 5, 5 * col : 5 * col + 5]
+        known = square[square > 0]
+        if known.size:
+            assert found[row, col] == pytest.approx(float(known.mean()), abs=2e-3)
+        else:
+            assert np.isnan(found[row, col])
+
+
 def test_heat_is_in_degrees_and_heights_in_metres(tmp_path: Path) -> None:
     grid = grid_of(30, 30)
     kelvin = np.random.default_rng(2).uniform(285, 330, grid.shape).astype(np.float32)
