@@ -111,8 +111,6 @@ class Raster:
         What the file says of its bands, "" where it says nothing.
     scales, offsets : tuple of float
         A band's values are meant to be those read times its scale plus its offset; `read_bands` does not apply them.
-    has_crs : bool
-        Whether the file names a CRS, be it opened as a plain image or not.
     lossy : bool
         Whether the pixels (of a VRT, those of its first part) are compressed with loss, an alpha band among them.
     notes : list of str
@@ -131,7 +129,6 @@ class Raster:
         self.scales: tuple[float, ...] = dataset.scales
         self.offsets: tuple[float, ...] = dataset.offsets
         self.driver: str = dataset.driver
-        self.has_crs = dataset.crs is not None and bool(dataset.crs.to_wkt())
         self.colours: tuple[ColorInterp, ...] = dataset.colorinterp
         self.block_shape: tuple[int, int] = dataset.block_shapes[0]
         self.compression: str = str(dataset.profile.get("compress", "none"))
@@ -201,18 +198,20 @@ def open_raster(
         yield load_raster(path, pool, nodata=nodata, unreferenced=unreferenced)
 
 
-def says_where(path: Path) -> bool:
-    """Whether a raster names a coordinate reference system at all, be it good for anything or not.
+def is_plain(path: Path) -> bool:
+    """Whether a raster names no coordinate reference system at all: then its lengths are pixels.
 
     Raises
     ------
     InputError
         The file is no readable raster.
     """
+    if not path.is_file():
+        raise InputError(path, "is a folder, not a raster" if path.is_dir() else "no such file")
     with DatasetPool() as pool:
         _vrt_parts(path)
         crs = pool.dataset(path).crs
-        return crs is not None and bool(crs.to_wkt())
+        return crs is None or not crs.to_wkt()
 
 
 def load_raster(

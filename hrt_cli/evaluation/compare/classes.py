@@ -14,7 +14,7 @@ from hrt_cli.evaluation.compare.result import Figure, Found, alike, apart, text
 from hrt_cli.evaluation.segment import agreement
 from hrt_cli.progress import Progress
 from hrt_cli.raster.classes import NODATA, ClassRaster, open_classes
-from hrt_cli.raster.gate import open_raster
+from hrt_cli.raster.gate import is_plain
 from hrt_cli.raster.windows import Window, blocks
 
 BLOCK_PX = 2048
@@ -51,12 +51,6 @@ def compare_classes(path_a: Path, path_b: Path, progress: Progress, block_px: in
     shown = {k: old or new for k, old, new in names}
     areas = _compare_areas(table, shown)
     return Found([*areas.figures, *figures], [*areas.lines, *lines], {**areas.detail, **detail})
-
-
-def is_plain(path: Path) -> bool:
-    """Whether a raster has no CRS at all: then its lengths are pixels."""
-    with open_raster(path, unreferenced=True) as raster:
-        return not raster.has_crs
 
 
 def _name(classes: ClassRaster, number: int) -> str:

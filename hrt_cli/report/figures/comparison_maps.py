@@ -11,12 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hrt_cli.errors import InputError
-from hrt_cli.evaluation.compare.classes import is_plain
 from hrt_cli.evaluation.compare.drives import origin_of, places_of
 from hrt_cli.evaluation.compare.grids import is_same_grid
 from hrt_cli.evaluation.compare.plans import grid_of, read_walks, walk_places
 from hrt_cli.logs.read import read_drive_log
 from hrt_cli.raster.classes import NODATA, ClassRaster, open_classes
+from hrt_cli.raster.gate import is_plain
 from hrt_cli.raster.grid import Grid, lattice_offset
 from hrt_cli.raster.scoremap import Scoremap, read_scoremap
 from hrt_cli.raster.style import NO_GO_COLOUR, SCORE_RAMP, class_colour, rgb_of

@@ -14,7 +14,7 @@ from hrt_cli.errors import HrtError, InputError
 from hrt_cli.raster.align import real_values, warp_onto
 from hrt_cli.raster.aoi import read_aoi
 from hrt_cli.raster.classes import NODATA, open_classes
-from hrt_cli.raster.gate import Raster, open_raster, says_where
+from hrt_cli.raster.gate import Raster, is_plain, open_raster
 from hrt_cli.raster.grid import Grid
 from hrt_cli.raster.heights import VOID, in_metres, open_heights
 from hrt_cli.raster.image import open_image
@@ -58,7 +58,7 @@ def thinned(grid: Grid, most: int) -> tuple[int, Grid]:
 
 def picture_layer(path: Path, frame: Frame, most: int, **about: Any) -> dict[str, Any]:
     """Return an orthomosaic as a layer, with at most `most` rows and columns."""
-    with open_image(path, unreferenced=not says_where(path)) as image:
+    with open_image(path, unreferenced=is_plain(path)) as image:
         rgb, valid = image.thumbnail(most)
         _, grid = thinned(image.grid, most)
     rgba = np.dstack([rgb, np.where(valid, 255, 0).astype(np.uint8)])
@@ -69,7 +69,7 @@ def picture_layer(path: Path, frame: Frame, most: int, **about: Any) -> dict[str
 
 def class_layer(path: Path, frame: Frame, most: int, **about: Any) -> dict[str, Any]:
     """Return a class raster as a layer with its legend: names, colours, shares of the pixels, ids."""
-    with open_classes(path, unreferenced=not says_where(path)) as raster:
+    with open_classes(path, unreferenced=is_plain(path)) as raster:
         step, grid = thinned(raster.grid, most)
         rows, counts = [], np.zeros(256, np.int64)
         for top in range(0, raster.grid.rows, step):
@@ -118,7 +118,7 @@ def score_layers(path: Path, frame: Frame, **about: Any) -> dict[str, dict[str, 
 
 def heat_layer(path: Path, frame: Frame, most: int, **about: Any) -> dict[str, Any]:
     """Return a thermal orthomosaic in degrees Celsius, or in its own unit where that is not sure."""
-    with open_raster(path, unreferenced=not says_where(path)) as raster:
+    with open_raster(path, unreferenced=is_plain(path)) as raster:
         pixels = _averaged(raster, most)
         try:
             units, _ = settle(raster, "auto")
@@ -132,7 +132,7 @@ def heat_layer(path: Path, frame: Frame, most: int, **about: Any) -> dict[str, A
 
 def measured_layer(path: Path, frame: Frame, most: int, label: str, **about: Any) -> dict[str, Any]:
     """Return the first band of a raster of measured values."""
-    with open_raster(path, unreferenced=not says_where(path)) as raster:
+    with open_raster(path, unreferenced=is_plain(path)) as raster:
         pixels = _averaged(raster, most)
     placed = _placed(path, pixels, frame, np.nan)
     return about | value_data(placed, frame, _span(placed.values), _VALUES, label)

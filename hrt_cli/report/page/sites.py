@@ -15,7 +15,7 @@ from hrt_cli.artifacts.plan import read_plan, team_members
 from hrt_cli.errors import HrtError
 from hrt_cli.logs.read import read_drive_log
 from hrt_cli.raster.aoi import read_aoi
-from hrt_cli.raster.gate import open_raster, says_where
+from hrt_cli.raster.gate import is_plain, open_raster
 from hrt_cli.raster.grid import WGS84, Grid, transform_points
 from hrt_cli.raster.scoremap import read_scoremap
 from hrt_cli.report.page import layers
@@ -152,7 +152,7 @@ def _placed(item: Item) -> Place:
         return _on_grid(item, grid_of(read_plan(members[0] if members else item.path)))
     if item.kind == "scoremap" and item.path.suffix.lower() == ".npz":
         return _on_grid(item, read_scoremap(item.path).grid)
-    with open_raster(item.path, unreferenced=not says_where(item.path)) as raster:
+    with open_raster(item.path, unreferenced=is_plain(item.path)) as raster:
         return _on_grid(item, raster.grid)
 
 
