@@ -41,7 +41,7 @@ def test_places_are_the_same_in_degrees_and_in_a_crs(tmp_path: Path) -> None:
 
 def test_a_long_log_is_thinned_but_keeps_what_happened(tmp_path: Path) -> None:
     n, at = 3 * MOST_RECORDS, 3 * 1234 + 1
-    records: list[dict[str, object]] = [{"t": k / 10, "lon": 8.09 + 1e-7 * k, "lat": 47.039} for k in range(n)]
+    records: list[dict[str, object]] = [{"t": 100 + k / 10, "lon": 8.09 + 1e-7 * k, "lat": 47.039} for k in range(n)]
     records[at]["event"] = "collision"
     found = track(write_log(tmp_path / "a.jsonl", records), "a", FRAME)
     assert len(found["t"]) <= MOST_RECORDS + 3
