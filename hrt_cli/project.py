@@ -26,7 +26,18 @@ WORKFLOW_FILES = (
     "profiles/slurm/config.yaml",
     *(
         f"report/{name}.rst"
-        for name in ("workflow", "classes", "scoremap", "plan", "policy", "rewards", "summary", "round", "steering")
+        for name in (
+            "workflow",
+            "classes",
+            "scoremap",
+            "plan",
+            "mission",
+            "policy",
+            "rewards",
+            "summary",
+            "round",
+            "steering",
+        )
     ),
 )
 

@@ -87,7 +87,7 @@ def test_what_sites_share_is_made_once(project: Path) -> None:
     assert "Nothing to be done" in snakemake(project, *TARGETS)
     assert jobs(snakemake(project, "-n", "--forceall")) == {
         "all": 1, "segment": 1, "segment_by_model": 1, "scoremap": 2, "train_policy": 1, "plan": 4, "evaluate": 2,
-        "summary": 1, "export": 24, "export_nav2": 4,
+        "summary": 1, "export": 20, "export_nav2": 4, "export_qgc": 4,
     }  # fmt: skip
 
 
