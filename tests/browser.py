@@ -103,6 +103,7 @@ def check_report(report: Path) -> None:
     """Do with a report what a person would: layers, waypoints, the drive, both themes, a desk and a tablet."""
     with opened(report) as shown:
         check_layers(shown)
+        check_alignment(shown)
         check_waypoints(shown)
         check_player(shown)
         check_theme(shown)
@@ -164,6 +165,34 @@ def check_waypoints(shown: Opened, most: int = 5) -> None:
     shown.page.locator(".frame").focus()
     shown.page.keyboard.press("0")
     shown.settle()
+
+
+def check_alignment(shown: Opened) -> None:
+    """Marks, lines and the ground under the pointer lie on one another to a pixel."""
+    plans = shown.data()["sites"][0]["plans"]
+    if not plans:
+        return
+    last = max(k for k, plan in enumerate(plans) if plan["shown"])
+    start = plans[last]["waypoints"][0]
+    x, y = shown.place_of(f".marks .plan:nth-of-type({last + 1}) .start")
+    script = """(k) => {
+      const line = document.querySelectorAll(".lines .plan")[k].querySelector(".line");
+      const point = line.getPointAtLength(0).matrixTransform(line.getScreenCTM());
+      return [point.x, point.y];
+    }"""
+    line_x, line_y = shown.page.evaluate(script, last)
+    assert math.hypot(line_x - x, line_y - y) < 1.0, (x, y, line_x, line_y)
+    if start["lat"] is None:
+        return
+
+    def under(at_x: float, at_y: float) -> tuple[float, float]:
+        shown.page.mouse.move(at_x, at_y)
+        lat, lon = shown.page.locator(".place").text_content().split("  ·  ")[0].split(", ")
+        return float(lon), float(lat)
+
+    (lon, lat), (east, _), (_, south) = under(x, y), under(x + 40, y), under(x, y + 40)
+    assert abs(lon - start["lon"]) < 1.2 * abs(east - lon) / 40
+    assert abs(lat - start["lat"]) < 1.2 * abs(south - lat) / 40
 
 
 def check_player(shown: Opened) -> None:
