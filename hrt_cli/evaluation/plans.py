@@ -8,9 +8,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-from affine import Affine
 from numpy.typing import NDArray
-from rasterio.crs import CRS
 
 from hrt_cli.artifacts.plan import PlanDocument, read_plan, team_members
 from hrt_cli.errors import ArgumentError, InputError
@@ -21,8 +19,9 @@ from hrt_cli.planning.policy import default_policies_sha256
 from hrt_cli.planning.problem import Budget, Problem
 from hrt_cli.planning.resume import mark_driven
 from hrt_cli.progress import Progress, silent
-from hrt_cli.raster.grid import Grid, require_same_grid
+from hrt_cli.raster.grid import require_same_grid
 from hrt_cli.raster.scoremap import Scoremap, read_scoremap
+from hrt_cli.raster.track import plan_grid
 
 PLANNERS = ("refined", "policy")
 BASELINES = ("lawnmower", "rectangle", "greedy", "spiral", "random")
@@ -182,13 +181,7 @@ def _read(path: Path, scoremap_path: Path, scoremap: Scoremap) -> list[PlanDocum
 
 def _read_one(path: Path, scoremap_path: Path, scoremap: Scoremap) -> PlanDocument:
     plan = read_plan(path)
-    grid = Grid(
-        plan.grid.rows,
-        plan.grid.cols,
-        Affine(*plan.grid.transform),
-        None if plan.grid.crs is None else CRS.from_user_input(plan.grid.crs),
-    )
-    require_same_grid(path, grid, scoremap_path, scoremap.grid)
+    require_same_grid(path, plan_grid(path, plan), scoremap_path, scoremap.grid)
     left_in = {plan.start} & set(plan.collected)
     for row, col in plan.cells:
         if np.isnan(scoremap.score[row, col]) and (row, col) not in left_in:

@@ -1,15 +1,17 @@
-"""A drive log, or other points, on the pixels of a raster."""
+"""A drive log, a plan, or other points, on the pixels of a raster."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
 import numpy as np
+from affine import Affine
 from numpy.typing import NDArray
 from rasterio.crs import CRS
 from rasterio.errors import CRSError
 
 from hrt_cli.artifacts.drivelog import DriveLog
+from hrt_cli.artifacts.plan import PlanDocument
 from hrt_cli.errors import InputError
 from hrt_cli.raster.grid import WGS84, Grid, transform_points
 
@@ -21,6 +23,21 @@ def track_on(path: Path, log: DriveLog, grid: Grid, what: str) -> tuple[Floats, 
     if log.own_frame is not None:
         raise no_place_on_a_map(path, log.own_frame)
     return points_on(path, log.place, WGS84.to_string() if log.geographic else log.crs, grid, what)
+
+
+def plan_grid(path: Path, plan: PlanDocument) -> Grid:
+    """Return the grid that a plan, of which `path` is the file, was made on.
+
+    Raises
+    ------
+    InputError
+        It names a CRS that is not known.
+    """
+    try:
+        crs = None if plan.grid.crs is None else CRS.from_user_input(plan.grid.crs)
+    except CRSError as error:
+        raise InputError(path, f"names a coordinate reference system that is not known: {error}") from error
+    return Grid(plan.grid.rows, plan.grid.cols, Affine(*plan.grid.transform), crs)
 
 
 def no_place_on_a_map(path: Path, own_frame: str) -> InputError:

@@ -9,9 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from affine import Affine
 from numpy.typing import NDArray
-from rasterio.crs import CRS
 
 from hrt_cli.artifacts.jsonio import read_model
 from hrt_cli.artifacts.plan import Cell, PlanDocument, TeamPlanDocument, team_members
@@ -20,6 +18,7 @@ from hrt_cli.evaluation.compare.grids import compare_grids, is_same_grid
 from hrt_cli.evaluation.compare.result import Figure, Found, alike, apart, number
 from hrt_cli.evaluation.compare.tracks import Floats, frechet, ground_metres, metres_of
 from hrt_cli.raster.grid import Grid, lattice_offset
+from hrt_cli.raster.track import plan_grid
 
 _WORTH = ("score", "discounted_score", "upper_bound", "gap", "discounted_upper_bound", "discounted_gap")
 _LENGTHS = {"length_m": "m", "time_s": "s"}
@@ -44,7 +43,7 @@ def compare_plans(path_a: Path, path_b: Path) -> Found:
         A plan, or that of one of its robots, cannot be used.
     """
     (whole_a, plans_a), (whole_b, plans_b) = _read(path_a), _read(path_b)
-    grids = [(grid_of(path_a, a), grid_of(path_b, b)) for a, b in zip(plans_a, plans_b, strict=False)]
+    grids = [(plan_grid(path_a, a), plan_grid(path_b, b)) for a, b in zip(plans_a, plans_b, strict=False)]
     figures = [number(name, getattr(whole_a, name), getattr(whole_b, name)) for name in _WORTH]
     figures += [_length(name, getattr(whole_a, name), getattr(whole_b, name), unit) for name, unit in _LENGTHS.items()]
     figures += [number("steps", whole_a.steps, whole_b.steps)]
@@ -69,15 +68,6 @@ def compare_plans(path_a: Path, path_b: Path) -> Found:
 def read_walks(path: Path) -> list[PlanDocument]:
     """Return the plan in a file, or those of the robots of a team, as they stand, whatever their provenance says."""
     return _read(path)[1]
-
-
-def grid_of(path: Path, plan: PlanDocument) -> Grid:
-    """Return the grid that a plan was made on."""
-    try:
-        crs = None if plan.grid.crs is None else CRS.from_user_input(plan.grid.crs)
-    except Exception as error:
-        raise InputError(path, f"names a coordinate reference system that is not known: {error}") from error
-    return Grid(plan.grid.rows, plan.grid.cols, Affine(*plan.grid.transform), crs)
 
 
 def _read(path: Path) -> tuple[PlanDocument | TeamPlanDocument, list[PlanDocument]]:

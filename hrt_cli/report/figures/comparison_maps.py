@@ -13,13 +13,14 @@ from numpy.typing import NDArray
 from hrt_cli.errors import InputError
 from hrt_cli.evaluation.compare.drives import origin_of, places_of
 from hrt_cli.evaluation.compare.grids import is_same_grid
-from hrt_cli.evaluation.compare.plans import grid_of, read_walks, walk_places
+from hrt_cli.evaluation.compare.plans import read_walks, walk_places
 from hrt_cli.logs.read import read_drive_log
 from hrt_cli.raster.classes import NODATA, ClassRaster, open_classes
 from hrt_cli.raster.gate import is_plain
 from hrt_cli.raster.grid import Grid, lattice_offset
 from hrt_cli.raster.scoremap import Scoremap, read_scoremap
 from hrt_cli.raster.style import NO_GO_COLOUR, SCORE_RAMP, class_colour, rgb_of
+from hrt_cli.raster.track import plan_grid
 from hrt_cli.raster.windows import Window
 from hrt_cli.report.figures.canvas import show_furniture
 from hrt_cli.report.figures.palette import BLUE, CANVAS, GREEN, GRID, ORANGE, PATH_EDGE, RIGHT, SOFT, VOID, WRONG
@@ -117,12 +118,12 @@ def _show_gap(
 def draw_plans(a: Path, b: Path, scoremap: Path | None, caption: str) -> Figure:
     """Draw both walks on one map, on a scoremap where it is given."""
     ways: list[list[NDArray[np.float64]]] = [[], []]
-    grids = [grid_of(path, read_walks(path)[0]) for path in (a, b)]
+    grids = [plan_grid(path, read_walks(path)[0]) for path in (a, b)]
     for index, (path, found) in enumerate(zip((a, b), ways, strict=True)):
         for plan in read_walks(path):
             if (grids[0].crs is None) != (grids[index].crs is None):
                 raise InputError(b, f"cannot be drawn on one map with {a}: one has no CRS")
-            found.append(walk_places(np.array(plan.cells, np.int64), grid_of(path, plan), grids[0]))
+            found.append(walk_places(np.array(plan.cells, np.int64), plan_grid(path, plan), grids[0]))
     behind = None
     if scoremap is not None:
         behind = read_scoremap(scoremap)

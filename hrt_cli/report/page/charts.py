@@ -12,6 +12,7 @@ from hrt_cli.artifacts.npz import read_npz
 from hrt_cli.artifacts.scores import PRIOR, ClassScore, read_scores
 from hrt_cli.errors import InputError
 from hrt_cli.raster.style import class_colour
+from hrt_cli.report.figures.curve import smoothed
 
 _MOST_POINTS = 400
 _SMOOTHED_SHARE = 0.05
@@ -77,18 +78,15 @@ def policy_chart(path: Path, name: str) -> dict[str, Any]:
     if curve.ndim != 1 or curve.size == 0 or not np.isfinite(curve).all():
         raise InputError(path, "has no learning curve")
     half = int(_SMOOTHED_SHARE * curve.size / 2)
-    sums = np.append(0.0, curve.astype(np.float64).cumsum())
-    at = np.arange(curve.size)
-    first, last = np.maximum(at - half, 0), np.minimum(at + half + 1, curve.size)
-    smooth = (sums[last] - sums[first]) / (last - first)
+    at, smooth = np.arange(curve.size) + 1, smoothed(curve, half)
     return {
         "type": "lines",
         "title": f"{name}: learning curve of the planning policy",
         "x": "iterations",
         "y": "share of the best cells that a rollout collects",
         "series": [
-            {"name": "each iteration", "role": "faint", "points": _points(at + 1, curve)},
-            {"name": f"mean of {2 * half + 1}", "role": "plan", "points": _points(at + 1, smooth)},
+            {"name": "each iteration", "role": "faint", "points": points(at, curve)},
+            {"name": f"mean of {2 * half + 1}", "role": "plan", "points": points(at, smooth)},
         ],
         "levels": [],
     }
@@ -133,6 +131,7 @@ def reliability_charts(name: str, document: dict[str, Any]) -> list[dict[str, An
     ]
 
 
-def _points(x: np.ndarray[Any, Any], y: np.ndarray[Any, Any]) -> list[list[float]]:
+def points(x: np.ndarray[Any, Any], y: np.ndarray[Any, Any]) -> list[list[float]]:
+    """Return the points of a curve [n], of many an even choice with the first and the last."""
     keep = np.unique(np.linspace(0, len(x) - 1, min(len(x), _MOST_POINTS)).astype(int))
-    return [[float(a), round(float(b), 5)] for a, b in zip(x[keep], y[keep], strict=True)]
+    return [[round(float(a), 3), round(float(b), 5)] for a, b in zip(x[keep], y[keep], strict=True)]

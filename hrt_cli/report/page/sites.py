@@ -148,8 +148,8 @@ def _placed(item: Item) -> Place:
         lon, lat = np.concatenate(rings).T
         return Place(item, (lon, lat))
     if item.kind in ("plan", "team plan"):
-        members = team_members(item.path)
-        return _on_grid(item, grid_of(read_plan(members[0] if members else item.path)))
+        first = [*team_members(item.path), item.path][0]
+        return _on_grid(item, grid_of(first, read_plan(first)))
     if item.kind == "scoremap" and item.path.suffix.lower() == ".npz":
         return _on_grid(item, read_scoremap(item.path).grid)
     with open_raster(item.path, unreferenced=is_plain(item.path)) as raster:

@@ -2,27 +2,28 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from affine import Affine
-from rasterio.crs import CRS
 
 from hrt_cli.artifacts.plan import PlanDocument, read_plan, team_members
 from hrt_cli.evaluation.plans import Trials, evaluate_plans
 from hrt_cli.evaluation.rewards import RewardChart
 from hrt_cli.raster.grid import Grid
+from hrt_cli.raster.track import plan_grid
 from hrt_cli.report.figures.palette import METHODS, SOFT, robot_line
+from hrt_cli.report.page.charts import points
 from hrt_cli.report.page.frame import Frame
 
 _BASELINES = Trials(planner=False)
 
 
-def grid_of(plan: PlanDocument) -> Grid:
+def grid_of(path: Path, plan: PlanDocument) -> Grid:
     """Return the grid that a plan lies on; none of it is on the Earth where its georeference is made up."""
-    crs = None if plan.grid.crs is None or plan.grid.georeference != "real" else CRS.from_user_input(plan.grid.crs)
-    return Grid(plan.grid.rows, plan.grid.cols, Affine(*plan.grid.transform), crs)
+    grid = plan_grid(path, plan)
+    return grid if plan.grid.georeference == "real" else replace(grid, crs=None)
 
 
 def plan_lines(path: Path, name: str, frame: Frame) -> list[dict[str, Any]]:
@@ -40,12 +41,12 @@ def plan_lines(path: Path, name: str, frame: Frame) -> list[dict[str, Any]]:
     for robot, member in enumerate(members or [path]):
         plan = read_plan(member)
         label = f"{name}, robot {robot + 1}" if members else name
-        lines.append(_line(plan, label, frame) | {"colour": robot_line(robot)[0] if members else ""})
+        lines.append(_line(member, plan, label, frame) | {"colour": robot_line(robot)[0] if members else ""})
     return lines
 
 
-def _line(plan: PlanDocument, name: str, frame: Frame) -> dict[str, Any]:
-    grid = grid_of(plan)
+def _line(path: Path, plan: PlanDocument, name: str, frame: Frame) -> dict[str, Any]:
+    grid = grid_of(path, plan)
     cells = np.array(plan.cells, np.float64) + 0.5
     east, north = frame.of_cells(grid, cells[:, 0], cells[:, 1])
     waypoints = []
@@ -97,7 +98,7 @@ def _chart(chart: RewardChart, name: str) -> dict[str, Any]:
             "name": name if curve.role == "plan" else curve.name,
             "role": curve.role,
             "colour": "" if curve.role == "plan" else METHODS.get(curve.name, SOFT),
-            "points": _thinned(curve.travelled, curve.reward),
+            "points": points(curve.travelled, curve.reward),
         }
         for curve in chart.curves
     ]
@@ -109,8 +110,3 @@ def _chart(chart: RewardChart, name: str) -> dict[str, Any]:
         "series": series,
         "levels": [{"y": chart.bound, "name": "upper bound"}],
     }
-
-
-def _thinned(x: np.ndarray[Any, Any], y: np.ndarray[Any, Any], most: int = 400) -> list[list[float]]:
-    keep = np.unique(np.linspace(0, len(x) - 1, min(len(x), most)).astype(int))
-    return [[round(float(a), 3), round(float(b), 4)] for a, b in zip(x[keep], y[keep], strict=True)]
